@@ -1,0 +1,1 @@
+//! Trajectories on disk (MCAP), their index and splits, decimation and normalisation.

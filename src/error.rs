@@ -1,0 +1,132 @@
+//! The one error type of the program: what is wrong, where, why, and what to do about it.
+//!
+//! Messages flow in lower case without a final period, put backticks round what the user typed, and name the offending
+//! value, its unit and the admissible range. Places are listed innermost first. Rendered once, in `main`.
+
+use std::fmt;
+
+/// Result with the program's [`Error`].
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+/// What is wrong, where (innermost place first), the underlying cause, and a one-line hint that is an action.
+#[derive(Debug)]
+pub struct Error {
+    what: String,
+    at: Vec<String>,
+    cause: Option<Box<dyn std::error::Error + Send + Sync>>,
+    hint: Option<String>,
+    is_usage: bool,
+    rendered: Option<String>,
+}
+
+impl Error {
+    /// An error that says `what` is wrong, value and admissible range included.
+    pub fn new(what: impl Into<String>) -> Self {
+        Self { what: what.into(), at: Vec::new(), cause: None, hint: None, is_usage: false, rendered: None }
+    }
+
+    /// Adds a place around those already named: "layer 3 of `configs/site.toml`".
+    #[must_use]
+    pub fn at(mut self, place: impl Into<String>) -> Self {
+        self.at.push(place.into());
+        self
+    }
+
+    /// Adds the action that mends it.
+    #[must_use]
+    pub fn hint(mut self, hint: impl Into<String>) -> Self {
+        self.hint = Some(hint.into());
+        self
+    }
+
+    /// Adds the error underneath.
+    #[must_use]
+    pub fn cause(mut self, cause: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        self.cause = Some(cause.into());
+        self
+    }
+
+    /// Marks a mistake in the manifest or on the command line (exit status 2 instead of 1).
+    #[must_use]
+    pub fn usage(mut self) -> Self {
+        self.is_usage = true;
+        self
+    }
+
+    /// Replaces the rendering by a prepared text (manifest problems with carets, several at once).
+    #[must_use]
+    pub fn rendered(mut self, text: impl Into<String>) -> Self {
+        self.rendered = Some(text.into());
+        self
+    }
+
+    /// What is wrong, without place, cause and hint.
+    pub fn what(&self) -> &str {
+        &self.what
+    }
+
+    /// The hint, if there is one.
+    pub fn hint_text(&self) -> Option<&str> {
+        self.hint.as_deref()
+    }
+
+    /// Exit status of the process: 2 for usage or manifest, 1 for everything else.
+    pub fn exit_status(&self) -> u8 {
+        if self.is_usage { 2 } else { 1 }
+    }
+}
+
+impl fmt::Display for Error {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(text) = &self.rendered {
+            return f.write_str(text);
+        }
+        f.write_str(&self.what)?;
+        for place in &self.at {
+            write!(f, "\n  in {place}")?;
+        }
+        let mut cause = self.cause.as_deref().map(|c| c as &dyn std::error::Error);
+        while let Some(error) = cause {
+            write!(f, "\n  because {error}")?;
+            cause = error.source();
+        }
+        if let Some(hint) = &self.hint {
+            write!(f, "\n\nhint: {hint}")?;
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Error {}
+
+/// Turns a foreign error into ours with a sentence of context: `fs::read(p).context(|| format!("cannot read `{p}`"))`.
+pub trait Context<T> {
+    /// Wraps the error with what was being attempted.
+    fn context(self, what: impl FnOnce() -> String) -> Result<T>;
+}
+
+impl<T, E: Into<Box<dyn std::error::Error + Send + Sync>>> Context<T> for std::result::Result<T, E> {
+    fn context(self, what: impl FnOnce() -> String) -> Result<T> {
+        self.map_err(|e| Error::new(what()).cause(e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn renders_places_cause_and_hint_in_order() {
+        let error = Error::new("`vs_m_s` must be in 50…5000 m/s, got -240")
+            .at("layer 3 of `site.toml`")
+            .at("stage `simulate`")
+            .cause("disk full")
+            .hint("check the sign");
+        assert_eq!(
+            error.to_string(),
+            "`vs_m_s` must be in 50…5000 m/s, got -240\n  in layer 3 of `site.toml`\n  in stage `simulate`\n  because disk full\n\nhint: check the sign"
+        );
+        assert_eq!(error.exit_status(), 1);
+        assert_eq!(Error::new("x").usage().exit_status(), 2);
+    }
+}

@@ -1,0 +1,1 @@
+//! FLARE-T: encoder, latent equations, decoder; pretraining, distillation, calibration.

@@ -1,0 +1,30 @@
+//! `flare-pipe`: from a site manifest to held-out predictions of how a soil site shakes.
+//!
+//! Signs and axes, once for the whole crate: `z` is depth, positive down from the free surface (m); `u` is the horizontal
+//! displacement, positive in the record's azimuth, and is **total**, not relative to the base, so that a node's
+//! acceleration compares directly with a downhole sensor; `γ = ∂u/∂z`; `τ` has the sign of `γ` on first loading;
+//! `t = 0` at the first sample. Inside, everything is SI (`units` holds the only conversions).
+//!
+//! Dependencies point one way: `error units numerics registry progress → motion soil → column → dataset records metrics →
+//! flare effects → manifest → stages → report cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
+
+pub mod cli;
+pub mod column;
+pub mod dataset;
+pub mod effects;
+pub mod error;
+pub mod flare;
+pub mod manifest;
+pub mod metrics;
+pub mod motion;
+pub mod numerics;
+pub mod pipeline;
+pub mod progress;
+pub mod records;
+pub mod registry;
+pub mod report;
+pub mod soil;
+pub mod stages;
+pub mod units;
+
+pub use error::{Error, Result};

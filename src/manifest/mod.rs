@@ -1,0 +1,1 @@
+//! The site manifest: typed TOML, cross-field checks, every problem at once.

@@ -1,0 +1,3 @@
+//! Numerical tools without domain words: linear algebra of the column, filters and resampling, random streams.
+
+pub mod random;

@@ -1,0 +1,1 @@
+//! Cached, resumable stages on a directed acyclic graph; knows nothing of soil.

@@ -1,0 +1,1 @@
+//! Measured records: one file format a file, registered in `FORMATS`.

@@ -1,0 +1,1 @@
+//! Constitutive laws: one law a file, registered in `LAWS`.

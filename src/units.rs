@@ -1,0 +1,35 @@
+//! The only unit conversions of the program: inside, everything is SI.
+
+/// Standard acceleration of gravity, m/s².
+pub const G_M_S2: f64 = 9.806_65;
+
+/// Kilopascal in pascal.
+pub const KPA: f64 = 1e3;
+
+/// Gigapascal in pascal.
+pub const GPA: f64 = 1e9;
+
+/// Unit of a measured acceleration, as typed in a manifest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize, schemars::JsonSchema)]
+pub enum AccelerationUnit {
+    /// Standard gravity.
+    #[serde(rename = "g")]
+    Gravity,
+    /// 1 gal = 0.01 m/s².
+    #[serde(rename = "gal")]
+    Gal,
+    /// m/s².
+    #[serde(rename = "m/s2")]
+    MetrePerSecondSquared,
+}
+
+impl AccelerationUnit {
+    /// How many m/s² one unit is.
+    pub fn m_s2(self) -> f64 {
+        match self {
+            Self::Gravity => G_M_S2,
+            Self::Gal => 0.01,
+            Self::MetrePerSecondSquared => 1.0,
+        }
+    }
+}
