@@ -25,6 +25,7 @@ pub mod registry;
 pub mod report;
 pub mod soil;
 pub mod stages;
+pub mod twin;
 pub mod units;
 
 pub use error::{Error, Result};

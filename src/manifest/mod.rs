@@ -1,1 +1,75 @@
-//! The site manifest: typed TOML, cross-field checks, every problem at once.
+//! The site manifest: typed TOML, every problem at once with file, line, caret and hint.
+//!
+//! [`Manifest::load`] reads a file, applies `--set` overrides, compares its structure with the JSON Schema of [`Site`],
+//! builds the typed sections, and runs each section's own range checks and the checks across sections.
+
+mod check;
+mod document;
+mod resolve;
+mod schema;
+mod sections;
+
+pub use document::{Document, Problem};
+pub use schema::schema;
+pub use sections::{LayerSection, OutputSection, RecordsSection, SensorsSection, Site, SiteSection, Tolerances};
+
+use crate::error::{Context, Error, Result};
+use std::path::{Path, PathBuf};
+
+/// A manifest that passed every check.
+#[derive(Debug, Clone)]
+pub struct Manifest {
+    /// The typed sections, defaults filled in.
+    pub site: Site,
+    /// The file it came from.
+    pub path: PathBuf,
+    /// The text of that file, for the report.
+    pub text: String,
+    /// Folder of the records (`records.dir`), resolved.
+    pub records_dir: Option<PathBuf>,
+    /// Truth file of twin records (`records.truth`), resolved.
+    pub truth: Option<PathBuf>,
+}
+
+impl Manifest {
+    /// Reads and checks `path` with `overrides` of the form `key=value` (dotted key, TOML value or bare string).
+    ///
+    /// # Errors
+    /// One usage error that shows every problem found.
+    pub fn load(path: &Path, overrides: &[String]) -> Result<Self> {
+        let text = std::fs::read_to_string(path)
+            .context(|| format!("cannot read the manifest `{}`", path.display()))
+            .map_err(|e| e.usage().hint("give the path of a site manifest, for example `configs/smoke.toml`"))?;
+        let document = Document::parse(path, &text)?;
+        let mut table = document.table().clone();
+        let mut overridden = Vec::new();
+        for assignment in overrides {
+            overridden.push(document::apply_override(&mut table, assignment)?);
+        }
+        let mut problems = schema::compare(&table);
+        let site = sections::build(&table, &mut problems);
+        if let Some(site) = &site {
+            check::across(site, &mut problems);
+        }
+        match site {
+            Some(site) if problems.is_empty() => {
+                let base = path.parent().unwrap_or(Path::new("."));
+                let resolve = |key: &str, value: &str| {
+                    if overridden.iter().any(|k| k == key) { PathBuf::from(value) } else { base.join(value) }
+                };
+                let records_dir = site.records.as_ref().and_then(|r| r.dir.as_ref()).map(|d| resolve("records.dir", d));
+                let truth = site.records.as_ref().and_then(|r| r.truth.as_ref()).map(|d| resolve("records.truth", d));
+                Ok(Self { site, path: path.to_path_buf(), text, records_dir, truth })
+            }
+            _ => Err(document.error(problems, &overridden)),
+        }
+    }
+
+    /// The manifest with every default filled in, as the table that stages read their parameters from.
+    ///
+    /// # Errors
+    /// When a section cannot be written as TOML.
+    pub fn canonical(&self) -> Result<toml::Table> {
+        toml::Table::try_from(&self.site).map_err(|e| Error::new("cannot write the manifest as TOML").cause(e))
+    }
+}

@@ -1,0 +1,191 @@
+//! Range checks of the profile and checks across sections.
+
+use super::{Problem, Site, SiteSection};
+use crate::registry;
+use crate::{column, effects, records, soil};
+use std::collections::BTreeMap;
+
+/// Every problem that needs more than one section, and the sections' own range checks.
+pub fn across(site: &Site, problems: &mut Vec<Problem>) {
+    name(site, problems);
+    profile_ranges(&site.site, problems);
+    laws(site, problems);
+    sensors(site, problems);
+    split(site, problems);
+    let sections = [
+        ("motions", site.motions.problems()),
+        ("analysis", site.analysis.problems()),
+        ("pretrain", site.pretrain.problems()),
+        ("distill", site.distill.problems()),
+        ("calibrate", site.calibrate.problems()),
+    ];
+    for (section, found) in sections {
+        problems.extend(found.into_iter().map(|(key, what)| Problem::new(format!("{section}.{key}"), what)));
+    }
+    if site.pretrain.channels > site.site.elements {
+        problems.push(Problem::new(
+            "pretrain.channels",
+            format!("`channels` must be at most `site.elements` = {}, got {}", site.site.elements, site.pretrain.channels),
+        ));
+    }
+    tolerances(site, problems);
+    for (i, table) in site.effects.iter().enumerate() {
+        if let Err(error) = effects::build(table) {
+            problems.push(from_error(format!("effects[{i}]"), &error));
+        }
+    }
+    if problems.is_empty()
+        && let Err(error) = site.profile().and_then(|p| column::Column::new(&p, &site.analysis).map(|_| ()))
+    {
+        problems.push(from_error("site".into(), &error));
+    }
+}
+
+fn from_error(key: String, error: &crate::Error) -> Problem {
+    let problem = Problem::new(key, error.what());
+    match error.hint_text() {
+        Some(hint) => problem.hint(hint),
+        None => problem,
+    }
+}
+
+fn name(site: &Site, problems: &mut Vec<Problem>) {
+    let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
+    if site.name.is_empty() || !site.name.chars().all(is_plain) {
+        let what = format!("`name` must be lower-case letters, digits and hyphens, got `{}`", site.name);
+        problems.push(Problem::new("name", what).hint("it names the run folder: `lotung`, `fksh11-ns`"));
+    }
+}
+
+/// Range checks of `[site]` and its layers.
+pub fn profile_ranges(site: &SiteSection, problems: &mut Vec<Problem>) {
+    let mut range = |key: String, value: f64, unit: &str, lowest: f64, highest: f64| {
+        if !(lowest..=highest).contains(&value) {
+            let name = key.rsplit('.').next().unwrap_or(&key).to_string();
+            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+            problems.push(Problem::new(key, format!("`{name}` must be in {lowest}…{highest}{unit}, got {value}")));
+        }
+    };
+    range("site.depth_m".into(), site.depth_m, "m", 0.5, 2000.0);
+    range("site.elements".into(), site.elements as f64, "", 4.0, 4000.0);
+    if let Some(depth) = site.water_table_m {
+        range("site.water_table_m".into(), depth, "m", 0.0, 2000.0);
+    }
+    range("site.rayleigh.alpha_1_s".into(), site.rayleigh.alpha_1_s, "1/s", 0.0, 100.0);
+    range("site.rayleigh.beta_s".into(), site.rayleigh.beta_s, "s", 0.0, 0.1);
+    for (i, layer) in site.layer.iter().enumerate() {
+        let key = |name: &str| format!("site.layer[{i}].{name}");
+        range(key("thickness_m"), layer.thickness_m, "m", 0.01, 2000.0);
+        range(key("density_kg_m3"), layer.density_kg_m3, "kg/m³", 1000.0, 3500.0);
+        range(key("vs_m_s"), layer.vs_m_s, "m/s", 20.0, 5000.0);
+        range(key("k0"), layer.k0, "", 0.1, 3.0);
+    }
+    let total: f64 = site.layer.iter().map(|l| l.thickness_m).sum();
+    if site.layer.is_empty() {
+        problems.push(Problem::new("site.layer", "the profile has no layer").hint("add `[[site.layer]]`, surface down"));
+    } else if (total - site.depth_m).abs() > 1e-3 {
+        let what = format!("the layers add up to {total:.4} m, but `site.depth_m` = {} m", site.depth_m);
+        problems.push(Problem::new("site.depth_m", what).hint("the base of the column is the depth of the input sensor"));
+    }
+}
+
+fn laws(site: &Site, problems: &mut Vec<Problem>) {
+    let kinds: Vec<&str> = soil::LAWS.iter().map(|e| e.name).collect();
+    let names: Vec<&str> = site.law.keys().map(String::as_str).collect();
+    for (name, table) in &site.law {
+        match table.get("kind").and_then(toml::Value::as_str) {
+            None => problems.push(
+                Problem::new(format!("law.{name}"), format!("law `{name}` has no `kind`")).hint(registry::known(&kinds, "")),
+            ),
+            Some(kind) if !kinds.contains(&kind) => problems.push(
+                Problem::new(format!("law.{name}.kind"), format!("unknown soil law `{kind}`"))
+                    .hint(registry::known(&kinds, kind)),
+            ),
+            Some(_) => {}
+        }
+    }
+    for (i, layer) in site.site.layer.iter().enumerate() {
+        let place = format!("site.layer[{i}]");
+        match site.law.get(&layer.law) {
+            None => problems.push(
+                Problem::new(format!("{place}.law"), format!("there is no `[law.{}]`", layer.law))
+                    .hint(registry::known(&names, &layer.law)),
+            ),
+            Some(_) => {
+                if let Ok((kind, table)) = site.layer_law(layer)
+                    && let Ok(entry) = registry::find("soil law", soil::LAWS, &kind)
+                    && let Err(error) = (entry.build)(table)
+                {
+                    problems.push(from_error(place, &error));
+                }
+            }
+        }
+    }
+}
+
+fn sensors(site: &Site, problems: &mut Vec<Problem>) {
+    if site.sensors.output.is_empty() {
+        problems.push(Problem::new("sensors.output", "there is no output sensor").hint("add `[[sensors.output]]`"));
+    }
+    let mut seen: BTreeMap<&str, usize> = BTreeMap::from([(site.sensors.input.as_str(), 0)]);
+    for (i, sensor) in site.sensors.output.iter().enumerate() {
+        if seen.insert(&sensor.name, i).is_some() {
+            problems.push(Problem::new(format!("sensors.output[{i}].name"), format!("two sensors are named `{}`", sensor.name)));
+        }
+        if !(0.0..site.site.depth_m).contains(&sensor.depth_m) {
+            let what = format!("`depth_m` must lie in 0…{} m, above the base, got {}", site.site.depth_m, sensor.depth_m);
+            problems.push(Problem::new(format!("sensors.output[{i}].depth_m"), what));
+        }
+    }
+}
+
+fn split(site: &Site, problems: &mut Vec<Problem>) {
+    let Some(section) = &site.records else { return };
+    if section.format == "twin" {
+        if section.truth.is_none() {
+            let problem = Problem::new("records.truth", "twin records need `records.truth`");
+            problems.push(problem.hint("name a truth file: `truth = \"truth/lotung.toml\"`"));
+        }
+    } else {
+        let names: Vec<&str> = records::FORMATS.iter().map(|e| e.name).chain(["twin"]).collect();
+        if !names.contains(&section.format.as_str()) {
+            let problem = Problem::new("records.format", format!("unknown record format `{}`", section.format));
+            problems.push(problem.hint(registry::known(&names, &section.format)));
+        }
+        if section.dir.is_none() {
+            problems.push(Problem::new("records.dir", "records in files need `records.dir`"));
+        }
+    }
+    if section.components.is_empty() {
+        problems.push(Problem::new("records.components", "there is no component").hint("for example `components = [\"NS\", \"EW\"]`"));
+    }
+    let mut seen: BTreeMap<&str, &str> = BTreeMap::new();
+    for (list, events) in [("train", &section.train), ("validation", &section.validation), ("test", &section.test)] {
+        if events.is_empty() {
+            problems.push(Problem::new(format!("records.{list}"), format!("`{list}` names no event")));
+        }
+        for (i, event) in events.iter().enumerate() {
+            if let Some(other) = seen.insert(event, list) {
+                let what = format!("event `{event}` stands in `{other}` and in `{list}`");
+                let problem = Problem::new(format!("records.{list}[{i}]"), what);
+                problems.push(problem.hint("each event belongs to one list, or the test would not be held out"));
+            }
+        }
+    }
+}
+
+fn tolerances(site: &Site, problems: &mut Vec<Problem>) {
+    let t = &site.tolerances;
+    let values = [
+        ("vs_ln", t.vs_ln, 0.5),
+        ("damping_ln", t.damping_ln, 2.0),
+        ("gain_ln", t.gain_ln, 1.0),
+        ("clock_s", t.clock_s, 1.0),
+        ("orientation_deg", t.orientation_deg, 90.0),
+    ];
+    for (name, value, highest) in values {
+        if !(0.0..=highest).contains(&value) {
+            problems.push(Problem::new(format!("tolerances.{name}"), format!("`{name}` must be in 0…{highest}, got {value}")));
+        }
+    }
+}

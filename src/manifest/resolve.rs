@@ -1,0 +1,58 @@
+//! From the sections to what the domain works with: the profile of the column.
+
+use super::{LayerSection, Site};
+use crate::column::{Layer, Profile};
+use crate::effects;
+use crate::error::{Error, Result};
+
+impl Site {
+    /// Law kind and parameters of `layer`: the table under `[law]` with the layer's own keys laid over it.
+    ///
+    /// # Errors
+    /// When there is no such law or it has no `kind`.
+    pub fn layer_law(&self, layer: &LayerSection) -> Result<(String, toml::Table)> {
+        let missing = || Error::new(format!("there is no `[law.{}]` with a `kind`", layer.law)).usage();
+        let mut table = self.law.get(&layer.law).ok_or_else(missing)?.clone();
+        let kind = match table.remove("kind") {
+            Some(toml::Value::String(kind)) => kind,
+            _ => return Err(missing()),
+        };
+        table.extend(layer.parameters.clone());
+        Ok((kind, table))
+    }
+
+    /// The column as declared, without `[[effects]]`.
+    ///
+    /// # Errors
+    /// When a layer names an unknown law.
+    pub fn declared_profile(&self) -> Result<Profile> {
+        let layers = self.site.layer.iter().map(|layer| {
+            let (law_kind, law) = self.layer_law(layer)?;
+            Ok(Layer {
+                thickness_m: layer.thickness_m,
+                density_kg_m3: layer.density_kg_m3,
+                vs_m_s: layer.vs_m_s,
+                k0: layer.k0,
+                law_kind,
+                law,
+            })
+        });
+        Ok(Profile {
+            layers: layers.collect::<Result<_>>()?,
+            water_table_m: self.site.water_table_m,
+            vertical: self.site.vertical,
+            rayleigh: self.site.rayleigh,
+            elements: self.site.elements,
+        })
+    }
+
+    /// The column with the manifest's `[[effects]]` applied.
+    ///
+    /// # Errors
+    /// When a layer or an effect cannot be built.
+    pub fn profile(&self) -> Result<Profile> {
+        let mut profile = self.declared_profile()?;
+        effects::apply(&self.effects, &mut profile)?;
+        Ok(profile)
+    }
+}

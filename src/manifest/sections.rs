@@ -1,0 +1,231 @@
+//! The typed sections of a site manifest.
+
+use super::Problem;
+use crate::column::{Analysis, Rayleigh, Vertical};
+use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings};
+use crate::motion::MotionSettings;
+use crate::units::AccelerationUnit;
+use schemars::JsonSchema;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// A site manifest.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Site {
+    /// Names the run folder: lower-case letters, digits and hyphens.
+    pub name: String,
+    /// A sentence about the site and where its records come from, shown at the top of the report.
+    #[serde(default)]
+    pub about: String,
+    /// A file of `pipelines/`, without `.toml`.
+    #[serde(default = "default_pipeline")]
+    pub pipeline: String,
+    /// Profile, mesh and boundary of the soil column.
+    pub site: SiteSection,
+    /// Constitutive laws by name, each with its `kind` and parameters.
+    #[schemars(with = "BTreeMap<String, serde_json::Map<String, serde_json::Value>>")]
+    pub law: BTreeMap<String, toml::Table>,
+    /// Input sensor and output sensors.
+    pub sensors: SensorsSection,
+    /// Prior standard deviations of what is declared.
+    #[serde(default)]
+    pub tolerances: Tolerances,
+    /// Measured (or twin) records and their split.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub records: Option<RecordsSection>,
+    /// Synthetic base motions.
+    pub motions: MotionSettings,
+    /// Time stepping of the column.
+    #[serde(default)]
+    pub analysis: Analysis,
+    /// Stage 1: encoder, latent equations and decoder from the simulations.
+    pub pretrain: PretrainSettings,
+    /// Stage 2: the sparse-sensor encoder.
+    #[serde(default)]
+    pub distill: DistillSettings,
+    /// Stage 3: latent coefficients from the measured events.
+    #[serde(default)]
+    pub calibrate: CalibrateSettings,
+    /// Effects added to the declared model: none in a declared manifest, some in a corrected one.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
+    pub effects: Vec<toml::Table>,
+}
+
+fn default_pipeline() -> String {
+    "flare-t".into()
+}
+
+/// Profile, mesh and boundary of the soil column.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SiteSection {
+    /// Depth of the input sensor, which is the base of the column, in m.
+    pub depth_m: f64,
+    /// Finite elements over the depth.
+    #[serde(default = "default_elements")]
+    pub elements: usize,
+    /// Depth of the water table in m; absent for a dry column.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub water_table_m: Option<f64>,
+    /// Vertical displacement above the base: `free` or `restrained`.
+    #[serde(default = "default_vertical")]
+    pub vertical: Vertical,
+    /// Rayleigh damping α M + β K.
+    #[serde(default)]
+    pub rayleigh: Rayleigh,
+    /// Layers from the surface down.
+    pub layer: Vec<LayerSection>,
+}
+
+fn default_elements() -> usize {
+    200
+}
+
+fn default_vertical() -> Vertical {
+    Vertical::Free
+}
+
+/// One layer; keys beyond those named here are parameters of its law.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct LayerSection {
+    /// Thickness in m.
+    pub thickness_m: f64,
+    /// Total (saturated or moist) mass density in kg/m³.
+    pub density_kg_m3: f64,
+    /// Small-strain shear-wave velocity in m/s.
+    pub vs_m_s: f64,
+    /// Coefficient of earth pressure at rest.
+    #[serde(default = "default_k0")]
+    pub k0: f64,
+    /// A name under `[law]`.
+    pub law: String,
+    /// Parameters of the law that differ in this layer.
+    #[serde(flatten)]
+    #[schemars(with = "serde_json::Map<String, serde_json::Value>")]
+    pub parameters: toml::Table,
+}
+
+fn default_k0() -> f64 {
+    0.5
+}
+
+/// Input sensor and output sensors.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SensorsSection {
+    /// Name of the input sensor, at the base of the column.
+    pub input: String,
+    /// Sensors above it.
+    pub output: Vec<OutputSection>,
+}
+
+/// One output sensor.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct OutputSection {
+    /// Name, as in the header of the record files.
+    pub name: String,
+    /// Depth in m; 0 is the surface.
+    pub depth_m: f64,
+}
+
+/// Prior standard deviations of what is declared: the nuisances of a diagnosis and the draws of a twin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Tolerances {
+    /// ln of the shear-wave velocity of a layer.
+    pub vs_ln: f64,
+    /// ln of the small-strain damping.
+    pub damping_ln: f64,
+    /// ln of a sensor's gain.
+    pub gain_ln: f64,
+    /// Clock of a sensor, s.
+    pub clock_s: f64,
+    /// Azimuth of a sensor, degrees.
+    pub orientation_deg: f64,
+}
+
+impl Default for Tolerances {
+    fn default() -> Self {
+        Self { vs_ln: 0.05, damping_ln: 0.3, gain_ln: 0.01, clock_s: 0.001, orientation_deg: 1.0 }
+    }
+}
+
+/// Measured (or twin) records and their split by event.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RecordsSection {
+    /// A name printed by `flare-pipe list formats`, or `twin`.
+    pub format: String,
+    /// Folder of the files, relative to the manifest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dir: Option<String>,
+    /// Truth file of twin records, relative to the manifest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<String>,
+    /// Unit of the accelerations in the files.
+    #[serde(default = "default_unit")]
+    pub unit: AccelerationUnit,
+    /// Horizontal components, calibrated separately.
+    pub components: Vec<String>,
+    /// Events that calibrate the latent coefficients.
+    pub train: Vec<String>,
+    /// Events that select the model.
+    pub validation: Vec<String>,
+    /// Events kept for the final test.
+    pub test: Vec<String>,
+}
+
+fn default_unit() -> AccelerationUnit {
+    AccelerationUnit::MetrePerSecondSquared
+}
+
+impl RecordsSection {
+    /// All events, in the order calibration, validation, test.
+    pub fn events(&self) -> impl Iterator<Item = &String> {
+        self.train.iter().chain(&self.validation).chain(&self.test)
+    }
+}
+
+/// Builds the typed sections; `None` when a section whose structure looked right cannot be read.
+///
+/// With problems already found, the keys they name are taken out first, so that the remaining sections are still
+/// read and range-checked.
+pub fn build(table: &toml::Table, problems: &mut Vec<Problem>) -> Option<Site> {
+    if problems.is_empty() {
+        return match Site::deserialize(table.clone()) {
+            Ok(site) => Some(site),
+            Err(error) => {
+                problems.push(Problem::new("", error.message().trim()));
+                None
+            }
+        };
+    }
+    ranges::<MotionSettings>(table, "motions", problems, MotionSettings::problems);
+    ranges::<Analysis>(table, "analysis", problems, Analysis::problems);
+    ranges::<PretrainSettings>(table, "pretrain", problems, PretrainSettings::problems);
+    ranges::<DistillSettings>(table, "distill", problems, DistillSettings::problems);
+    ranges::<CalibrateSettings>(table, "calibrate", problems, CalibrateSettings::problems);
+    if let Some(site) = section::<SiteSection>(table, "site") {
+        super::check::profile_ranges(&site, problems);
+    }
+    None
+}
+
+fn section<T: DeserializeOwned>(table: &toml::Table, name: &str) -> Option<T> {
+    T::deserialize(table.get(name)?.clone()).ok()
+}
+
+fn ranges<T: DeserializeOwned>(
+    table: &toml::Table,
+    name: &str,
+    problems: &mut Vec<Problem>,
+    check: fn(&T) -> Vec<(String, String)>,
+) {
+    if let Some(section) = section::<T>(table, name) {
+        problems.extend(check(&section).into_iter().map(|(key, what)| Problem::new(format!("{name}.{key}"), what)));
+    }
+}

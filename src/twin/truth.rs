@@ -1,0 +1,111 @@
+//! The truth file: what really holds at a twin site.
+
+use crate::effects;
+use crate::error::{Context, Error, Result};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A truth file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Truth {
+    /// A sentence about this truth.
+    #[serde(default)]
+    pub about: String,
+    /// The site manifest it belongs to, relative to the truth file; `flare-pipe twin` starts from it.
+    pub site: String,
+    /// Seed of the draws, the event motions and the noise.
+    pub seed: u64,
+    /// Elements of the truth column per declared element.
+    #[serde(default = "default_mesh_factor")]
+    pub mesh_factor: usize,
+    /// Largest time step of the truth column, s.
+    #[serde(default = "default_max_step")]
+    pub max_step_s: f64,
+    /// Sensor noise.
+    #[serde(default)]
+    pub noise: Noise,
+    /// Law parameters that differ from the declared ones, by law name.
+    #[serde(default)]
+    #[schemars(with = "BTreeMap<String, serde_json::Map<String, serde_json::Value>>")]
+    pub law: BTreeMap<String, toml::Table>,
+    /// Events of the array.
+    pub event: Vec<EventSection>,
+    /// Effects that hold and are not declared.
+    #[serde(default)]
+    #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
+    pub effects: Vec<toml::Table>,
+}
+
+fn default_mesh_factor() -> usize {
+    2
+}
+
+fn default_max_step() -> f64 {
+    0.0025
+}
+
+/// White sensor noise as a fraction of each channel's RMS over the event.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Noise {
+    /// Output sensors.
+    pub output_fraction: f64,
+    /// Input sensor.
+    pub input_fraction: f64,
+}
+
+impl Default for Noise {
+    fn default() -> Self {
+        Self { output_fraction: 0.03, input_fraction: 0.03 }
+    }
+}
+
+/// One event: peak base acceleration by component, and how long it lasts.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct EventSection {
+    /// Name, as in the manifest's lists.
+    pub name: String,
+    /// Peak base acceleration in g, by component.
+    pub pga_g: BTreeMap<String, f64>,
+    /// Duration in s.
+    pub duration_s: f64,
+}
+
+impl Truth {
+    /// Reads and checks a truth file.
+    ///
+    /// # Errors
+    /// When it cannot be read, is no TOML, or a value is out of range.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).context(|| format!("cannot read the truth file `{}`", path.display()))?;
+        let truth: Self = toml::from_str(&text)
+            .map_err(|e| Error::new(e.to_string().trim().to_string()).at(format!("`{}`", path.display())).usage())?;
+        truth.check().map_err(|e| e.at(format!("`{}`", path.display())))?;
+        Ok(truth)
+    }
+
+    fn check(&self) -> Result<()> {
+        let range = |name: &str, value: f64, lowest: f64, highest: f64, unit: &str| {
+            if (lowest..=highest).contains(&value) {
+                return Ok(());
+            }
+            Err(Error::new(format!("`{name}` must be in {lowest}…{highest}{unit}, got {value}")).usage())
+        };
+        range("mesh_factor", self.mesh_factor as f64, 1.0, 8.0, "")?;
+        range("max_step_s", self.max_step_s, 1e-4, 0.005, " s")?;
+        range("noise.output_fraction", self.noise.output_fraction, 0.0, 1.0, "")?;
+        range("noise.input_fraction", self.noise.input_fraction, 0.0, 1.0, "")?;
+        for event in &self.event {
+            let place = |e: Error| e.at(format!("event `{}`", event.name));
+            range("duration_s", event.duration_s, 1.0, 600.0, " s").map_err(place)?;
+            for pga in event.pga_g.values() {
+                range("pga_g", *pga, 1e-4, 3.0, " g").map_err(place)?;
+            }
+        }
+        effects::build_all(&self.effects).map(|_| ())
+    }
+}
