@@ -99,9 +99,15 @@ pub struct Decision {
 }
 
 impl Decision {
-    /// All reasons in one line.
+    /// The reasons in one line, the first three of many.
     pub fn reason(&self) -> String {
-        self.reasons.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+        let mut texts: Vec<String> = self.reasons.iter().map(ToString::to_string).collect();
+        if texts.len() > 4 {
+            let n_more = texts.len() - 3;
+            texts.truncate(3);
+            texts.push(format!("and {n_more} more"));
+        }
+        texts.join("; ")
     }
 }
 
@@ -136,7 +142,10 @@ impl<'a> Planner<'a> {
             if named.is_disjoint(&selected) {
                 return Err(Error::new(format!("`--force {name}`: that stage is not among those asked for")).usage());
             }
-            forced.extend(named);
+            forced.extend(named.intersection(&selected));
+        }
+        if site.name == "cache" {
+            return Err(Error::new("a site cannot be named `cache`: its folder would be that of the cache").usage());
         }
         Ok(Self { site, graph, store: site.store(), memory: Memory::load(&site.dir()), selected, forced })
     }

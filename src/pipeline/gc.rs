@@ -2,7 +2,7 @@
 
 use super::files::list;
 use super::site::Memory;
-use super::{Address, Lock, State, Store};
+use super::{Address, Lock, Store};
 use crate::error::{Context, Result};
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -56,7 +56,7 @@ fn kept(run_dir: &Path, store: &Store) -> Result<BTreeSet<Address>> {
     }
     for site in fs::read_dir(run_dir).context(what)? {
         for address in Memory::load(&site.context(what)?.path()).all() {
-            if let State::Sound(outputs) = store.state(&address) {
+            if let Some(outputs) = store.outputs(&address) {
                 kept.extend(outputs.items.iter().filter_map(|item| Address::parse(&item.entry)));
             }
             kept.insert(address);

@@ -70,7 +70,9 @@ impl Graph {
                     Some(source) => match links(recipe, &nodes, source, each).map_err(place)?.as_slice() {
                         [one] => Some(one.node),
                         _ => {
-                            return Err(place(Error::new(format!("`manifest = \"{source}\"` names several instances"))));
+                            return Err(place(Error::new(format!(
+                                "`manifest = \"{source}\"` names several instances"
+                            ))));
                         }
                     },
                 };

@@ -225,9 +225,11 @@ impl fmt::Display for Change {
         match self {
             Self::Kind { from, to } => write!(f, "stage kind `{from}` → `{to}`"),
             Self::Version { from, to } => write!(f, "stage version {from} → {to}"),
-            Self::Parameter { name, from: Some(from), to: Some(to) } => write!(f, "`{name}`: {from} → {to}"),
-            Self::Parameter { name, from: None, to } => write!(f, "`{name}` is new: {}", to.as_deref().unwrap_or("–")),
-            Self::Parameter { name, from: Some(from), to: None } => write!(f, "`{name}` is gone (was {from})"),
+            Self::Parameter { name, from, to } => match (from.as_deref().map(brief), to.as_deref().map(brief)) {
+                (Some(from), Some(to)) => write!(f, "`{name}`: {from} → {to}"),
+                (None, to) => write!(f, "`{name}` is new: {}", to.unwrap_or_default()),
+                (Some(from), None) => write!(f, "`{name}` is gone (was {from})"),
+            },
             Self::Input { role } => write!(f, "input `{role}` changed"),
             Self::InputNew { role } => write!(f, "input `{role}` is new"),
             Self::InputGone { role } => write!(f, "input `{role}` is gone"),
@@ -244,6 +246,15 @@ impl fmt::Display for Change {
                 }
             }
         }
+    }
+}
+
+/// The beginning of a long value.
+fn brief(text: &str) -> String {
+    const MOST: usize = 60;
+    match text.char_indices().nth(MOST) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_string(),
     }
 }
 

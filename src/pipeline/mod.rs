@@ -23,6 +23,8 @@ mod store;
 mod task;
 #[cfg(test)]
 mod toy;
+#[cfg(test)]
+mod whole_runs;
 
 pub use decide::{Action, Decision, Options, Reason};
 pub use files::write_if_changed;

@@ -1,7 +1,7 @@
 //! How the stages of a site stand, without doing anything.
 
 use super::decide::Planner;
-use super::{Action, Address, Graph, Lock, Options, Owner, Reason, Site, State};
+use super::{Action, Address, Graph, Lock, Options, Owner, Reason, Site};
 use crate::error::Result;
 use serde::Serialize;
 
@@ -46,11 +46,10 @@ pub fn status(site: &Site<'_>, graph: &Graph) -> Result<Vec<StageStatus>> {
             Some(Reason::NeverRun) => "never_run",
             Some(_) => "outdated",
         };
-        let outputs = entry.filter(|_| is_cached).map(|e| store.state(e));
         StageStatus {
             state,
             seconds: entry.filter(|_| is_cached).and_then(|e| store.seconds(e)),
-            bytes: outputs.and_then(|s| if let State::Sound(o) = s { Some(store.bytes(&o)) } else { None }),
+            bytes: entry.filter(|_| is_cached).and_then(|e| store.outputs(e)).map(|o| store.bytes(&o)),
             owner,
             stage: decision.stage,
             kind: decision.kind,

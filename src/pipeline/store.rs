@@ -32,6 +32,18 @@ pub struct Outputs {
     pub items: Vec<ItemRecord>,
 }
 
+impl Outputs {
+    /// What the entry in folder `dir` says it consists of.
+    ///
+    /// # Errors
+    /// When it does not say so legibly.
+    pub(super) fn read(dir: &Path) -> Result<Self> {
+        let path = dir.join(OUTPUTS);
+        let what = || format!("cannot read `{}`", path.display());
+        toml::from_str(&fs::read_to_string(&path).context(what)?).context(what)
+    }
+}
+
 /// One file of an entry.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct OutputFile {
@@ -161,6 +173,11 @@ impl Store {
         Ok(outputs)
     }
 
+    /// What an entry says it consists of, unchecked.
+    pub fn outputs(&self, address: &Address) -> Option<Outputs> {
+        Outputs::read(&self.dir(address)).ok()
+    }
+
     /// The parts of the key of an entry, if they are readable.
     pub fn parts(&self, address: &Address) -> Option<Parts> {
         toml::from_str(&fs::read_to_string(self.dir(address).join(STAGE)).ok()?).ok()
@@ -175,10 +192,7 @@ impl Store {
     /// Size of an entry with its items.
     pub fn bytes(&self, outputs: &Outputs) -> u64 {
         let own: u64 = outputs.files.iter().map(|f| f.bytes).sum();
-        let item = |record: &ItemRecord| {
-            let text = fs::read_to_string(self.dir(&Address::parse(&record.entry)?).join(OUTPUTS)).ok()?;
-            Some(self.bytes(&toml::from_str(&text).ok()?))
-        };
+        let item = |record: &ItemRecord| Some(self.bytes(&self.outputs(&Address::parse(&record.entry)?)?));
         own + outputs.items.iter().filter_map(item).sum::<u64>()
     }
 

@@ -96,10 +96,7 @@ impl Task<'_> {
     /// # Errors
     /// As [`Task::input`], or when the list of items cannot be read.
     pub fn input_items(&self, role: &str) -> Result<Vec<ItemOutcome>> {
-        let path = self.input(role)?.join("outputs.toml");
-        let what = || format!("cannot read `{}`", path.display());
-        let text = std::fs::read_to_string(&path).context(what)?;
-        let outputs: Outputs = toml::from_str(&text).context(what)?;
+        let outputs = Outputs::read(self.input(role)?)?;
         Ok(outputs.items.into_iter().map(|record| outcome(self.store, record)).collect())
     }
 
