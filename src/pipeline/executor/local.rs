@@ -1,0 +1,160 @@
+//! Items of an ensemble on the threads of this machine.
+//!
+//! Every worker takes the next item that is neither stored nor being computed elsewhere, so two processes that share a cache
+//! share the work; only at the end does one wait for what the other holds. Workers are plain threads and hold no permit
+//! while they wait for a lock, so nothing waits in a circle.
+
+use crate::error::{Context, Error, Result};
+use crate::pipeline::parameters::leaves;
+use crate::pipeline::{Address, Item, ItemRecord, Lock, Parts, State, Store};
+use crate::progress::Progress;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Condvar, Mutex, PoisonError};
+use std::time::Instant;
+
+/// How many items may be computed at once, over all stages of a run.
+pub(in crate::pipeline) struct Permits {
+    free: Mutex<usize>,
+    returned: Condvar,
+    total: usize,
+}
+
+struct Permit<'a>(&'a Permits);
+
+impl Permits {
+    pub(in crate::pipeline) fn new(total: usize) -> Self {
+        let total = total.max(1);
+        Self { free: Mutex::new(total), returned: Condvar::new(), total }
+    }
+
+    fn take(&self) -> Permit<'_> {
+        let free = self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut free = self.returned.wait_while(free, |n| *n == 0).unwrap_or_else(PoisonError::into_inner);
+        *free -= 1;
+        Permit(self)
+    }
+}
+
+impl Drop for Permit<'_> {
+    fn drop(&mut self) {
+        *self.0.free.lock().unwrap_or_else(PoisonError::into_inner) += 1;
+        self.0.returned.notify_one();
+    }
+}
+
+/// One call of `Task::items`.
+pub(in crate::pipeline) struct Ensemble<'a> {
+    pub(in crate::pipeline) store: &'a Store,
+    pub(in crate::pipeline) permits: &'a Permits,
+    pub(in crate::pipeline) progress: &'a dyn Progress,
+    pub(in crate::pipeline) is_forced: bool,
+    pub(in crate::pipeline) compute: &'a (dyn Fn(usize, &Path) -> Result<()> + Sync),
+}
+
+/// Distinct work: items with equal parameters are computed once.
+struct Job {
+    index: usize,
+    parts: Parts,
+    address: Address,
+}
+
+impl Ensemble<'_> {
+    pub(in crate::pipeline) fn run(&self, kind: &str, version: u32, items: &[Item]) -> Result<Vec<ItemRecord>> {
+        let mut addresses = Vec::with_capacity(items.len());
+        let mut distinct: BTreeMap<Address, Job> = BTreeMap::new();
+        for (index, item) in items.iter().enumerate() {
+            let parameters = leaves(&item.parameters, &[]);
+            let parts = Parts { kind: kind.into(), version, parameters, inputs: BTreeMap::new(), files: Vec::new() };
+            let address = parts.address();
+            addresses.push(address.clone());
+            distinct.entry(address.clone()).or_insert(Job { index, parts, address });
+        }
+        let mut jobs: Vec<Job> = distinct.into_values().filter(|job| !self.is_done(job)).collect();
+        jobs.sort_by_key(|job| job.index);
+        if jobs.len() < items.len() {
+            self.progress.note(&format!("{} of {} {kind} items from the cache", items.len() - jobs.len(), items.len()));
+        }
+        if !jobs.is_empty() {
+            self.progress.start(kind, jobs.len() as u64);
+        }
+        let failures = self.compute_all(&jobs)?;
+        let record = |(item, address): (&Item, Address)| ItemRecord {
+            id: item.id.clone(),
+            failure: failures.get(&address).cloned(),
+            entry: address.to_string(),
+        };
+        Ok(items.iter().zip(addresses).map(record).collect())
+    }
+
+    fn is_done(&self, job: &Job) -> bool {
+        !self.is_forced && matches!(self.store.state(&job.address), State::Sound(_))
+    }
+
+    /// Why items have no output. An `Err` means that the cache itself does not work.
+    fn compute_all(&self, jobs: &[Job]) -> Result<BTreeMap<Address, String>> {
+        let next = AtomicUsize::new(0);
+        let held_elsewhere = Mutex::new(Vec::new());
+        let failures = Mutex::new(BTreeMap::new());
+        let finish = |job: &Job, lock: Lock| -> Result<()> {
+            if let Err(failure) = self.compute_one(job, lock)? {
+                failures.lock().unwrap_or_else(PoisonError::into_inner).insert(job.address.clone(), failure);
+            }
+            self.progress.advance(1);
+            Ok(())
+        };
+        let work = || -> Result<()> {
+            while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let permit = self.permits.take();
+                match Lock::try_acquire(&self.store.lock_path(&job.address))? {
+                    Some(lock) => finish(job, lock)?,
+                    None => held_elsewhere.lock().unwrap_or_else(PoisonError::into_inner).push(job),
+                }
+                drop(permit);
+            }
+            loop {
+                let job = held_elsewhere.lock().unwrap_or_else(PoisonError::into_inner).pop();
+                let Some(job) = job else { return Ok(()) };
+                let lock = Lock::acquire(&self.store.lock_path(&job.address), |owner| {
+                    let whom = owner.map_or(String::new(), |o| format!(" by process {} on `{}`", o.pid, o.host));
+                    self.progress.note(&format!("waits for an item that is being computed{whom}"));
+                })?;
+                let _permit = self.permits.take();
+                finish(job, lock)?;
+            }
+        };
+        std::thread::scope(|scope| {
+            let workers: Vec<_> = (0..self.permits.total.min(jobs.len())).map(|_| scope.spawn(work)).collect();
+            for worker in workers {
+                worker.join().map_err(|_| Error::new("a thread of the ensemble stopped"))??;
+            }
+            Ok(())
+        })?;
+        Ok(failures.into_inner().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn compute_one(&self, job: &Job, _lock: Lock) -> Result<std::result::Result<(), String>> {
+        if self.is_done(job) {
+            return Ok(Ok(()));
+        }
+        let draft = self.store.draft(&job.address)?;
+        let start = Instant::now();
+        if let Err(failure) = guarded(|| (self.compute)(job.index, &draft)) {
+            crate::pipeline::files::remove_dir(&draft)?;
+            return Ok(Err(failure.to_string()));
+        }
+        self.store.publish(&job.parts, Vec::new(), start.elapsed().as_secs_f64())?;
+        Ok(Ok(()))
+    }
+}
+
+/// Runs foreign work and turns a panic into an error, so that one broken item or stage does not take the others with it.
+pub(in crate::pipeline) fn guarded(work: impl FnOnce() -> Result<()>) -> Result<()> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|panic| {
+        let text = panic.downcast_ref::<String>().cloned();
+        let text = text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string));
+        Err(text.unwrap_or_else(|| "no message".into()))
+            .context(|| "the program stopped at an assumption that does not hold (a defect)".into())
+    })
+}

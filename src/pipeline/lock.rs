@@ -1,0 +1,149 @@
+//! One owner per key, across threads, processes and hosts that share a file system.
+//!
+//! The operating system holds the lock, so a killed owner releases it; the text in the file only says who it is. The file is
+//! removed on release, hence a new owner must look again whether the name still leads to the file it has locked.
+
+use crate::error::{Context, Result};
+use serde::{Deserialize, Serialize};
+use std::fs::{self, File, OpenOptions, TryLockError};
+use std::io::Write;
+use std::os::unix::fs::MetadataExt;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// Who holds a lock.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Owner {
+    /// Name of the machine.
+    pub host: String,
+    /// Process number there.
+    pub pid: u32,
+    /// When it took the lock, seconds since 1970-01-01 UTC.
+    pub since_unix_s: u64,
+}
+
+impl Owner {
+    fn this_process() -> Self {
+        let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Self { host: host.trim().to_string(), pid: std::process::id(), since_unix_s: since.as_secs() }
+    }
+}
+
+/// A held lock; released when dropped.
+#[derive(Debug)]
+pub struct Lock {
+    file: File,
+    path: PathBuf,
+}
+
+impl Lock {
+    /// Takes the lock if nobody holds it.
+    ///
+    /// # Errors
+    /// When the file cannot be made or locks are not supported there.
+    pub fn try_acquire(path: &Path) -> Result<Option<Self>> {
+        let what = || format!("cannot lock `{}`", path.display());
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).context(what)?;
+        }
+        loop {
+            let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path);
+            let file = file.context(what)?;
+            match file.try_lock() {
+                Ok(()) => {}
+                Err(TryLockError::WouldBlock) => return Ok(None),
+                Err(TryLockError::Error(e)) => return Err(e).context(what),
+            }
+            let locked = file.metadata().context(what)?;
+            if !fs::metadata(path).is_ok_and(|named| (named.dev(), named.ino()) == (locked.dev(), locked.ino())) {
+                continue; // the last owner removed the file between our open and our lock
+            }
+            let mut lock = Self { file, path: path.to_path_buf() };
+            let text = toml::to_string(&Owner::this_process()).context(what)?;
+            lock.file.set_len(0).and_then(|()| lock.file.write_all(text.as_bytes())).context(what)?;
+            return Ok(Some(lock));
+        }
+    }
+
+    /// Waits until the lock is free; `waiting` is told once who holds it.
+    ///
+    /// # Errors
+    /// As [`Lock::try_acquire`].
+    pub fn acquire(path: &Path, mut waiting: impl FnMut(Option<Owner>)) -> Result<Self> {
+        let mut has_told = false;
+        let mut pause = Duration::from_millis(5);
+        loop {
+            if let Some(lock) = Self::try_acquire(path)? {
+                return Ok(lock);
+            }
+            if !std::mem::replace(&mut has_told, true) {
+                waiting(Self::text(path));
+            }
+            std::thread::sleep(pause);
+            pause = (pause * 2).min(Duration::from_millis(500));
+        }
+    }
+
+    /// Who holds the lock now; makes no file.
+    pub fn holder(path: &Path) -> Option<Owner> {
+        let file = File::open(path).ok()?;
+        match file.try_lock_shared() {
+            Err(TryLockError::WouldBlock) => {
+                Self::text(path).or_else(|| Some(Owner { host: String::new(), pid: 0, since_unix_s: 0 }))
+            }
+            _ => None,
+        }
+    }
+
+    fn text(path: &Path) -> Option<Owner> {
+        toml::from_str(&fs::read_to_string(path).ok()?).ok()
+    }
+}
+
+impl Drop for Lock {
+    fn drop(&mut self) {
+        // Name first, lock second (on close): whoever locks the nameless file sees that it has no name and starts over.
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    #[test]
+    fn one_owner_at_a_time_and_no_file_left() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let path = dir.path().join("k/key.lock");
+        let (inside, most) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        std::thread::scope(|scope| {
+            for _ in 0..8 {
+                scope.spawn(|| {
+                    for _ in 0..20 {
+                        let _lock = Lock::acquire(&path, |_| ()).expect("lockable");
+                        most.fetch_max(inside.fetch_add(1, Ordering::SeqCst) + 1, Ordering::SeqCst);
+                        std::thread::yield_now();
+                        inside.fetch_sub(1, Ordering::SeqCst);
+                    }
+                });
+            }
+        });
+        assert_eq!(most.load(Ordering::SeqCst), 1);
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn the_file_names_its_owner_and_a_left_over_file_is_no_lock() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let path = dir.path().join("key.lock");
+        fs::write(&path, "host = 'gone'\npid = 1\nsince_unix_s = 1\n").expect("writable");
+        assert_eq!(Lock::holder(&path), None);
+        let lock = Lock::try_acquire(&path).expect("lockable").expect("free");
+        assert_eq!(Lock::holder(&path).map(|o| o.pid), Some(std::process::id()));
+        assert!(Lock::try_acquire(&path).expect("lockable").is_none());
+        drop(lock);
+        assert_eq!(Lock::holder(&path), None);
+    }
+}

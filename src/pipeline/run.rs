@@ -1,0 +1,277 @@
+//! Carries a plan out: stages that are ready run side by side; a failure stops what depends on it and nothing else.
+
+use super::decide::{Planner, Resolved};
+use super::executor::{Permits, guarded};
+use super::files::remove_dir;
+use super::reporter::StageProgress;
+use super::store::Published;
+use super::{Action, Decision, Event, Graph, Lock, Options, Reason, Reporter, Site, State, Task};
+use crate::error::{Error, Result};
+use std::path::PathBuf;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// Whether to do it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Mode {
+    /// Decide only; nothing is written.
+    Plan,
+    /// Decide and do.
+    Run,
+}
+
+/// A stage that failed.
+#[derive(Debug)]
+pub struct Failure {
+    /// Name of the stage.
+    pub stage: String,
+    /// Why, with the stage as place.
+    pub error: Error,
+}
+
+/// What a run did.
+#[derive(Debug)]
+pub struct Summary {
+    /// What was decided at first, in the order of the graph.
+    pub decisions: Vec<Decision>,
+    /// Stages that were computed, as they finished.
+    pub computed: Vec<String>,
+    /// Stages that failed.
+    pub failures: Vec<Failure>,
+    /// Stages that were not begun because of a failure.
+    pub skipped: Vec<String>,
+}
+
+/// Decides what to do with every stage of `graph` for `site` and, if `mode` says so, does it.
+///
+/// # Errors
+/// When the plan is impossible (see [`Error::exit_status`]) or the run directory cannot be written. A stage that fails is no
+/// error of the run: see [`Summary::failures`].
+pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, reporter: &dyn Reporter) -> Result<Summary> {
+    let planner = Planner::new(site, graph, options)?;
+    let (decisions, resolved) = planner.plan()?;
+    reporter.event(&Event::Planned(&decisions));
+    let mut summary = Summary { decisions, computed: Vec::new(), failures: Vec::new(), skipped: Vec::new() };
+    if mode == Mode::Plan {
+        return Ok(summary);
+    }
+    let mut progress = Vec::new();
+    for (index, decision) in summary.decisions.iter().enumerate() {
+        progress.push(match (decision.action, &resolved[index]) {
+            (Action::Run | Action::Wait, _) => Stand::Open,
+            (Action::Cached, Some(known)) => {
+                settle(&planner, index, known)?;
+                Stand::Done
+            }
+            _ => Stand::Left,
+        });
+    }
+    let n_open = progress.iter().filter(|p| **p == Stand::Open).count();
+    let crew = Crew {
+        planner: &planner,
+        reporter,
+        permits: Permits::new(options.jobs),
+        decisions: summary.decisions.clone(),
+        board: Mutex::new(Board { stand: progress, resolved, summary: &mut summary }),
+        moved: Condvar::new(),
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..options.jobs.clamp(1, n_open.max(1)).min(n_open) {
+            scope.spawn(|| crew.work());
+        }
+    });
+    Ok(summary)
+}
+
+/// Folder of the stored output of one stage, for commands that read results.
+///
+/// # Errors
+/// When there is no such stage or its output is not stored.
+pub fn output(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<PathBuf> {
+    let planner = Planner::new(site, graph, &Options::default())?;
+    let index = match graph.select(stage)?.into_iter().collect::<Vec<_>>().as_slice() {
+        [one] => *one,
+        _ => {
+            return Err(Error::new(format!("stage `{stage}` has several instances")).hint("name one: `stage.instance`"));
+        }
+    };
+    let (decisions, resolved) = planner.plan()?;
+    match (&decisions[index].action, &resolved[index]) {
+        (Action::Cached, Some(known)) => Ok(planner.store.dir(&known.address)),
+        _ => Err(Error::new(format!("the output of `{stage}` is not up to date: {}", decisions[index].reason()))
+            .hint(format!("`flare-pipe run` with `--until {stage}` computes it"))),
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Stand {
+    /// To be done.
+    Open,
+    Running,
+    Done,
+    /// Failed, or skipped because of a failure.
+    Broken,
+    /// Not asked for and not stored.
+    Left,
+}
+
+struct Board<'a> {
+    stand: Vec<Stand>,
+    resolved: Vec<Option<Resolved>>,
+    summary: &'a mut Summary,
+}
+
+struct Crew<'a> {
+    planner: &'a Planner<'a>,
+    reporter: &'a dyn Reporter,
+    permits: Permits,
+    decisions: Vec<Decision>,
+    board: Mutex<Board<'a>>,
+    moved: Condvar,
+}
+
+impl<'a> Crew<'a> {
+    fn board(&self) -> MutexGuard<'_, Board<'a>> {
+        self.board.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Takes stages as they become ready until none is open.
+    fn work(&self) {
+        let mut board = self.board();
+        loop {
+            self.skip_what_cannot_run(&mut board);
+            let nodes = self.planner.graph.nodes();
+            let is_done = |d: usize| board.stand[d] == Stand::Done;
+            let is_ready =
+                |i: &usize| board.stand[*i] == Stand::Open && nodes[*i].dependencies().into_iter().all(is_done);
+            let Some(index) = (0..nodes.len()).find(is_ready) else {
+                if !board.stand.contains(&Stand::Open) {
+                    self.moved.notify_all();
+                    return;
+                }
+                board = self.moved.wait(board).unwrap_or_else(PoisonError::into_inner);
+                continue;
+            };
+            board.stand[index] = Stand::Running;
+            let inputs = board.resolved.clone();
+            drop(board);
+            let result = self.carry_out(index, &inputs);
+            board = self.board();
+            let name = &nodes[index].name;
+            match result {
+                Ok((known, is_computed)) => {
+                    board.resolved[index] = Some(known);
+                    board.stand[index] = Stand::Done;
+                    if is_computed {
+                        board.summary.computed.push(name.clone());
+                    }
+                }
+                Err(error) => {
+                    let error = error.at(format!("stage `{name}`"));
+                    self.reporter.event(&Event::Failed { stage: name, error: &error });
+                    board.stand[index] = Stand::Broken;
+                    board.summary.failures.push(Failure { stage: name.clone(), error });
+                }
+            }
+            self.moved.notify_all();
+        }
+    }
+
+    fn skip_what_cannot_run(&self, board: &mut Board<'_>) {
+        let nodes = self.planner.graph.nodes();
+        for (index, node) in nodes.iter().enumerate() {
+            let broken = node.dependencies().into_iter().find(|d| board.stand[*d] == Stand::Broken);
+            if let (Stand::Open, Some(broken)) = (board.stand[index], broken) {
+                board.stand[index] = Stand::Broken;
+                board.summary.skipped.push(node.name.clone());
+                self.reporter.event(&Event::Skipped { stage: &node.name, because: &nodes[broken].name });
+            }
+        }
+    }
+
+    /// Computes one stage, or finds that it need not be; says whether it was.
+    fn carry_out(&self, index: usize, inputs: &[Option<Resolved>]) -> Result<(Resolved, bool)> {
+        let planner = self.planner;
+        let (known, decision) = match &inputs[index] {
+            Some(known) => (known.clone(), self.decisions[index].clone()),
+            None => {
+                let known = planner.resolve(index, inputs)?.ok_or_else(|| Error::new("an input has no output"))?;
+                let decision = planner.decide(index, &known);
+                self.reporter.event(&Event::Decided(&decision));
+                (known, decision)
+            }
+        };
+        let is_computed = decision.action != Action::Cached && self.compute(index, &known, &decision, inputs)?;
+        settle(planner, index, &known)?;
+        Ok((known, is_computed))
+    }
+
+    fn compute(
+        &self,
+        index: usize,
+        known: &Resolved,
+        decision: &Decision,
+        inputs: &[Option<Resolved>],
+    ) -> Result<bool> {
+        let (planner, store) = (self.planner, &self.planner.store);
+        let node = &planner.graph.nodes()[index];
+        let stage = node.name.as_str();
+        let is_forced = planner.is_forced(index);
+        let _lock = Lock::acquire(&store.lock_path(&known.address), |owner| {
+            let whom = owner.map_or(String::new(), |o| format!(" by process {} on `{}`", o.pid, o.host));
+            self.reporter.event(&Event::Note { stage, text: &format!("waits: it is being computed{whom}") });
+        })?;
+        let state = store.state(&known.address);
+        let was_sound = matches!(state, State::Sound(_));
+        if was_sound && !is_forced {
+            self.reporter.event(&Event::Note { stage, text: "was computed meanwhile by another run" });
+            return Ok(false);
+        }
+        for reason in &decision.reasons {
+            if let Reason::Damaged(_) = reason {
+                self.reporter.event(&Event::Warning { stage, text: &format!("{reason}; it is computed again") });
+            }
+        }
+        self.reporter.event(&Event::Started { stage });
+        let progress = StageProgress::new(stage, self.reporter);
+        let played = |links: &Vec<super::Link>| {
+            let path = |node: usize| inputs[node].as_ref().map(|input| store.dir(&input.address));
+            links.iter().filter_map(|link| Some((link.instance.clone(), path(link.node)?))).collect()
+        };
+        let task = Task {
+            name: stage,
+            instance: node.instance.as_deref(),
+            parameters: known.parameters.clone(),
+            manifest_dir: planner.site.manifest_dir,
+            inputs: node.inputs.iter().map(|(role, links)| (role.clone(), played(links))).collect(),
+            output_dir: store.draft(&known.address)?,
+            checkpoint_dir: store.checkpoint_dir(&known.address),
+            store,
+            permits: &self.permits,
+            is_forced,
+            progress: &progress,
+            records: Mutex::default(),
+        };
+        let start = Instant::now();
+        if let Err(error) = guarded(|| node.stage.run(&task)) {
+            remove_dir(&task.output_dir)?;
+            return Err(error);
+        }
+        let seconds = start.elapsed().as_secs_f64();
+        let records = task.records.into_inner().unwrap_or_else(PoisonError::into_inner);
+        if store.publish(&known.parts, records, seconds)? == Published::Replaced && was_sound {
+            let text = "gave other bytes than before from the same inputs; should its version be bumped?";
+            self.reporter.event(&Event::Warning { stage, text });
+        }
+        remove_dir(&task.checkpoint_dir)?;
+        self.reporter.event(&Event::Finished { stage, seconds });
+        Ok(true)
+    }
+}
+
+/// Makes a stored output the one of the site: remembered, its files published. Writes nothing that is so already.
+fn settle(planner: &Planner<'_>, index: usize, known: &Resolved) -> Result<()> {
+    let node = &planner.graph.nodes()[index];
+    planner.site.publish(node, &planner.store.dir(&known.address))?;
+    planner.memory.remember(&node.name, &known.address)
+}

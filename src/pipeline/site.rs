@@ -1,0 +1,111 @@
+//! The folder of one site: which entries its stages used last, and copies of the files people look at.
+
+use super::files::{copy_if_changed, write_if_changed};
+use super::{Address, Node, Store};
+use crate::error::{Context, Result};
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+
+const LAST: &str = "last.toml";
+
+/// One site and where its results go.
+#[derive(Debug, Clone, Copy)]
+pub struct Site<'a> {
+    /// Names the folder in the run directory.
+    pub name: &'a str,
+    /// The manifest with all defaults filled in.
+    pub manifest: &'a toml::Table,
+    /// Folder of the manifest: its relative paths start there.
+    pub manifest_dir: &'a Path,
+    /// `runs/`: holds the cache and one folder per site.
+    pub run_dir: &'a Path,
+}
+
+impl Site<'_> {
+    /// `<run-dir>/<site>`.
+    pub fn dir(&self) -> PathBuf {
+        self.run_dir.join(self.name)
+    }
+
+    /// The cache it shares with other sites.
+    pub fn store(&self) -> Store {
+        Store::new(self.run_dir)
+    }
+
+    /// Copies the files a node publishes to the folder of the site; of an instance as `<stem>.<instance>.<ending>`. A file
+    /// its output does not have is removed there: it would be of an earlier output.
+    pub(super) fn publish(&self, node: &Node, entry: &Path) -> Result<()> {
+        for name in node.stage.publishes() {
+            let to = self.dir().join(published_name(name, node.instance.as_deref()));
+            let from = entry.join(name);
+            if from.is_file() {
+                copy_if_changed(&from, &to)?;
+            } else if to.is_file() {
+                fs::remove_file(&to).context(|| format!("cannot remove `{}`", to.display()))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn published_name(name: &str, instance: Option<&str>) -> String {
+    match (instance, name.rsplit_once('.')) {
+        (None, _) => name.to_string(),
+        (Some(instance), Some((stem, ending))) => format!("{stem}.{instance}.{ending}"),
+        (Some(instance), None) => format!("{name}.{instance}"),
+    }
+}
+
+/// `last.toml`: stage → address of the entry it used last. Explains reruns and keeps entries from being collected.
+pub(super) struct Memory {
+    path: PathBuf,
+    last: Mutex<BTreeMap<String, String>>,
+}
+
+impl Memory {
+    /// Reads the memory of a site folder; an unreadable one is an empty one.
+    pub(super) fn load(site_dir: &Path) -> Self {
+        let path = site_dir.join(LAST);
+        Self { last: Mutex::new(read(&path)), path }
+    }
+
+    pub(super) fn last(&self, stage: &str) -> Option<Address> {
+        Address::parse(self.last.lock().unwrap_or_else(PoisonError::into_inner).get(stage)?)
+    }
+
+    pub(super) fn all(&self) -> Vec<Address> {
+        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        last.values().filter_map(|text| Address::parse(text)).collect()
+    }
+
+    /// Remembers one stage, and writes only if that is news. What another process wrote meanwhile is kept.
+    pub(super) fn remember(&self, stage: &str, address: &Address) -> Result<()> {
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let text = address.to_string();
+        if last.get(stage) == Some(&text) {
+            return Ok(());
+        }
+        last.extend(read(&self.path));
+        last.insert(stage.to_string(), text);
+        let bytes = toml::to_string(&*last).context(|| format!("cannot write `{}`", self.path.display()))?;
+        write_if_changed(&self.path, bytes.as_bytes()).map(|_| ())
+    }
+}
+
+fn read(path: &Path) -> BTreeMap<String, String> {
+    fs::read_to_string(path).ok().and_then(|text| toml::from_str(&text).ok()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn instances_publish_beside_each_other() {
+        assert_eq!(published_name("metrics.json", None), "metrics.json");
+        assert_eq!(published_name("site.corrected.toml", Some("EW")), "site.corrected.EW.toml");
+        assert_eq!(published_name("log", Some("EW")), "log.EW");
+    }
+}

@@ -1,0 +1,330 @@
+//! Finished outputs by key: `<run-dir>/cache/<kind>-v<version>/<key>/`.
+//!
+//! An entry holds what the stage wrote, `stage.toml` (the parts of its key), `outputs.toml` (its files with size and hash,
+//! its items) and `timing.toml`, the only file that may differ between two computations of the same entry. Entries are built
+//! in `<key>.partial` beside and renamed when everything is on the disk.
+
+use super::files::{list, remove_dir, sync_dir, sync_tree};
+use super::key::{Address, Parts, file_hash};
+use crate::error::{Context, Error, Result};
+use serde::{Deserialize, Serialize};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const STAGE: &str = "stage.toml";
+const OUTPUTS: &str = "outputs.toml";
+const TIMING: &str = "timing.toml";
+
+/// All entries of one run directory; any number of sites and processes share it.
+#[derive(Debug, Clone)]
+pub struct Store {
+    root: PathBuf,
+}
+
+/// `outputs.toml`: what an entry consists of.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Outputs {
+    /// Files the stage wrote, sorted by name.
+    #[serde(default, rename = "file")]
+    pub files: Vec<OutputFile>,
+    /// Items it computed or found, in its order.
+    #[serde(default, rename = "item")]
+    pub items: Vec<ItemRecord>,
+}
+
+impl Outputs {
+    /// What the entry in folder `dir` says it consists of.
+    ///
+    /// # Errors
+    /// When it does not say so legibly.
+    pub(super) fn read(dir: &Path) -> Result<Self> {
+        let path = dir.join(OUTPUTS);
+        let what = || format!("cannot read `{}`", path.display());
+        toml::from_str(&fs::read_to_string(&path).context(what)?).context(what)
+    }
+}
+
+/// One file of an entry.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct OutputFile {
+    /// Name relative to the entry.
+    pub name: String,
+    /// Size.
+    pub bytes: u64,
+    /// BLAKE3 of the content, hexadecimal.
+    pub blake3: String,
+}
+
+/// One item of an entry: where it lies, or why it does not.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ItemRecord {
+    /// Name of the item within its stage.
+    pub id: String,
+    /// Address in the store.
+    pub entry: String,
+    /// Why there is no output.
+    pub failure: Option<String>,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Timing {
+    seconds: f64,
+}
+
+/// What is at an address.
+#[derive(Debug, Clone, PartialEq)]
+pub enum State {
+    /// Nothing.
+    Missing,
+    /// Something that cannot be used, and why.
+    Damaged(String),
+    /// A finished entry.
+    Sound(Outputs),
+}
+
+/// What became of a new output.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Published {
+    New,
+    /// The same bytes were there already and stay.
+    Same,
+    /// Other bytes were there, sound or not.
+    Replaced,
+}
+
+impl Store {
+    /// The store of `<run-dir>/cache`; nothing is made until something is stored.
+    pub fn new(run_dir: &Path) -> Self {
+        Self { root: run_dir.join("cache") }
+    }
+
+    /// `<run-dir>/cache`.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// Folder of an entry.
+    pub fn dir(&self, address: &Address) -> PathBuf {
+        self.root.join(&address.folder).join(address.key.as_str())
+    }
+
+    fn beside(&self, address: &Address, ending: &str) -> PathBuf {
+        self.root.join(&address.folder).join(format!("{}.{ending}", address.key))
+    }
+
+    /// Lock file of an entry, there only while somebody computes it.
+    pub fn lock_path(&self, address: &Address) -> PathBuf {
+        self.beside(address, "lock")
+    }
+
+    /// Folder for work in flight that survives a kill.
+    pub(super) fn checkpoint_dir(&self, address: &Address) -> PathBuf {
+        self.beside(address, "checkpoint")
+    }
+
+    /// An entry and all its items by presence and size of their files.
+    pub fn state(&self, address: &Address) -> State {
+        self.check(address, false)
+    }
+
+    /// An entry and all its items by content: every file is hashed, and the parts must give the key.
+    pub fn verify(&self, address: &Address) -> State {
+        self.check(address, true)
+    }
+
+    fn check(&self, address: &Address, by_content: bool) -> State {
+        if !self.dir(address).is_dir() {
+            return State::Missing;
+        }
+        match self.examine(address, by_content) {
+            Ok(outputs) => State::Sound(outputs),
+            Err(damage) => State::Damaged(damage),
+        }
+    }
+
+    fn examine(&self, address: &Address, by_content: bool) -> std::result::Result<Outputs, String> {
+        let dir = self.dir(address);
+        let text = fs::read_to_string(dir.join(OUTPUTS)).map_err(|_| format!("no `{OUTPUTS}`"))?;
+        let outputs: Outputs = toml::from_str(&text).map_err(|_| format!("`{OUTPUTS}` is not readable"))?;
+        if by_content {
+            let parts = self.parts(address).ok_or(format!("`{STAGE}` is not readable"))?;
+            if parts.address() != *address {
+                return Err(format!("`{STAGE}` does not give its key"));
+            }
+        }
+        for file in &outputs.files {
+            let path = dir.join(&file.name);
+            let bytes = fs::metadata(&path).map_err(|_| format!("no `{}`", file.name))?.len();
+            if bytes != file.bytes {
+                return Err(format!("`{}` has {bytes} bytes instead of {}", file.name, file.bytes));
+            }
+            if by_content && file_hash(&path).ok().as_deref() != Some(file.blake3.as_str()) {
+                return Err(format!("`{}` has other content than was written", file.name));
+            }
+        }
+        for item in outputs.items.iter().filter(|i| i.failure.is_none()) {
+            let address = Address::parse(&item.entry).ok_or(format!("`{OUTPUTS}` is not readable"))?;
+            match self.check(&address, by_content) {
+                State::Sound(_) => {}
+                State::Missing => return Err(format!("item `{}` is gone", item.id)),
+                State::Damaged(why) => return Err(format!("item `{}`: {why}", item.id)),
+            }
+        }
+        Ok(outputs)
+    }
+
+    /// What an entry says it consists of, unchecked.
+    pub fn outputs(&self, address: &Address) -> Option<Outputs> {
+        Outputs::read(&self.dir(address)).ok()
+    }
+
+    /// The parts of the key of an entry, if they are readable.
+    pub fn parts(&self, address: &Address) -> Option<Parts> {
+        toml::from_str(&fs::read_to_string(self.dir(address).join(STAGE)).ok()?).ok()
+    }
+
+    /// How long the entry took to compute, in seconds of wall time.
+    pub fn seconds(&self, address: &Address) -> Option<f64> {
+        let text = fs::read_to_string(self.dir(address).join(TIMING)).ok()?;
+        toml::from_str::<Timing>(&text).ok().map(|t| t.seconds)
+    }
+
+    /// Size of an entry with its items.
+    pub fn bytes(&self, outputs: &Outputs) -> u64 {
+        let own: u64 = outputs.files.iter().map(|f| f.bytes).sum();
+        let item = |record: &ItemRecord| Some(self.bytes(&self.outputs(&Address::parse(&record.entry)?)?));
+        own + outputs.items.iter().filter_map(item).sum::<u64>()
+    }
+
+    /// An empty folder to build the entry in. Only the holder of its lock may ask.
+    pub(super) fn draft(&self, address: &Address) -> Result<PathBuf> {
+        let dir = self.beside(address, "partial");
+        remove_dir(&dir)?;
+        fs::create_dir_all(&dir).context(|| format!("cannot make `{}`", dir.display()))?;
+        Ok(dir)
+    }
+
+    /// Makes a draft the entry. Only the holder of its lock may ask.
+    pub(super) fn publish(&self, parts: &Parts, items: Vec<ItemRecord>, seconds: f64) -> Result<Published> {
+        let address = parts.address();
+        let draft = self.beside(&address, "partial");
+        let what = || format!("cannot store `{address}`");
+        let mut outputs = Outputs { files: Vec::new(), items };
+        for name in list(&draft).context(what)? {
+            if [STAGE, OUTPUTS, TIMING].contains(&name.as_str()) {
+                return Err(Error::new(format!("a stage may not write `{name}`: the cache keeps its own there")));
+            }
+            let path = draft.join(&name);
+            let bytes = fs::metadata(&path).context(what)?.len();
+            outputs.files.push(OutputFile { bytes, blake3: file_hash(&path)?, name });
+        }
+        let dir = self.dir(&address);
+        if self.verify(&address) == State::Sound(outputs.clone()) {
+            remove_dir(&draft)?;
+            return Ok(Published::Same);
+        }
+        fs::write(draft.join(STAGE), toml::to_string(parts).context(what)?).context(what)?;
+        fs::write(draft.join(OUTPUTS), toml::to_string(&outputs).context(what)?).context(what)?;
+        fs::write(draft.join(TIMING), toml::to_string(&Timing { seconds }).context(what)?).context(what)?;
+        sync_tree(&draft).context(what)?;
+        let is_replaced = dir.exists();
+        let old = self.beside(&address, "old");
+        if is_replaced {
+            remove_dir(&old)?;
+            fs::rename(&dir, &old).context(what)?;
+        }
+        fs::rename(&draft, &dir).context(what)?;
+        dir.parent().map_or(Ok(()), sync_dir).context(what)?;
+        remove_dir(&old)?;
+        Ok(if is_replaced { Published::Replaced } else { Published::New })
+    }
+
+    /// Every address of the store with what else lies there: drafts, checkpoints, remains of replaced entries.
+    pub(super) fn inventory(&self) -> Result<Vec<(Address, Vec<PathBuf>)>> {
+        let mut found: std::collections::BTreeMap<String, Vec<PathBuf>> = std::collections::BTreeMap::new();
+        let what = || format!("cannot read `{}`", self.root.display());
+        if !self.root.is_dir() {
+            return Ok(Vec::new());
+        }
+        for folder in fs::read_dir(&self.root).context(what)? {
+            let folder = folder.context(what)?;
+            if !folder.file_type().context(what)?.is_dir() {
+                continue;
+            }
+            for entry in fs::read_dir(folder.path()).context(what)? {
+                let entry = entry.context(what)?;
+                let name = entry.file_name().to_string_lossy().into_owned();
+                let key = name.split('.').next().unwrap_or(&name);
+                let address = format!("{}/{key}", folder.file_name().to_string_lossy());
+                found.entry(address).or_default().push(entry.path());
+            }
+        }
+        Ok(found.into_iter().filter_map(|(text, paths)| Some((Address::parse(&text)?, paths))).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeMap;
+
+    fn parts(seed: i64) -> Parts {
+        let parameters = BTreeMap::from([("seed".to_string(), toml::Value::Integer(seed))]);
+        Parts { kind: "toy".into(), version: 1, parameters, inputs: BTreeMap::new(), files: Vec::new() }
+    }
+
+    fn put(store: &Store, parts: &Parts, content: &str, items: Vec<ItemRecord>) -> Published {
+        let draft = store.draft(&parts.address()).expect("writable");
+        fs::create_dir(draft.join("sub")).expect("writable");
+        fs::write(draft.join("sub/a.txt"), content).expect("writable");
+        store.publish(parts, items, 1.5).expect("writable")
+    }
+
+    #[test]
+    fn an_entry_is_missing_then_sound_then_damaged_then_mended() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let (store, parts) = (Store::new(dir.path()), parts(1));
+        let address = parts.address();
+        assert_eq!(store.state(&address), State::Missing);
+        assert_eq!(put(&store, &parts, "hello", vec![]), Published::New);
+        assert!(matches!(store.verify(&address), State::Sound(o) if o.files.len() == 1 && store.bytes(&o) == 5));
+        assert_eq!(store.parts(&address), Some(parts.clone()));
+        assert_eq!(store.seconds(&address), Some(1.5));
+        assert_eq!(put(&store, &parts, "hello", vec![]), Published::Same);
+        let file = store.dir(&address).join("sub/a.txt");
+        fs::write(&file, "hellO").expect("writable");
+        assert!(matches!(store.state(&address), State::Sound(_)));
+        assert_eq!(
+            store.verify(&address),
+            State::Damaged("`sub/a.txt` has other content than was written".to_string())
+        );
+        fs::write(&file, "hell").expect("writable");
+        assert_eq!(store.state(&address), State::Damaged("`sub/a.txt` has 4 bytes instead of 5".to_string()));
+        assert_eq!(put(&store, &parts, "hello", vec![]), Published::Replaced);
+        assert!(matches!(store.verify(&address), State::Sound(_)));
+        assert_eq!(fs::read_dir(store.root().join("toy-v1")).expect("readable").count(), 1);
+    }
+
+    #[test]
+    fn an_entry_is_damaged_with_its_items() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let (store, item, whole) = (Store::new(dir.path()), parts(1), parts(2));
+        put(&store, &item, "four", vec![]);
+        let record = |failure| ItemRecord { id: "001".into(), entry: item.address().to_string(), failure };
+        put(&store, &whole, "hello", vec![record(None)]);
+        assert!(matches!(store.state(&whole.address()), State::Sound(o) if store.bytes(&o) == 9));
+        fs::remove_dir_all(store.dir(&item.address())).expect("writable");
+        assert_eq!(store.state(&whole.address()), State::Damaged("item `001` is gone".to_string()));
+        put(&store, &whole, "hello", vec![record(Some("diverged".into()))]);
+        assert!(matches!(store.state(&whole.address()), State::Sound(_)));
+    }
+
+    #[test]
+    fn a_stage_may_not_write_the_files_of_the_cache() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let (store, parts) = (Store::new(dir.path()), parts(1));
+        let draft = store.draft(&parts.address()).expect("writable");
+        fs::write(draft.join("stage.toml"), "x").expect("writable");
+        assert!(store.publish(&parts, vec![], 0.0).is_err());
+    }
+}
