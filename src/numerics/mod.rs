@@ -1,3 +1,6 @@
 //! Numerical tools without domain words: linear algebra of the column, filters and resampling, random streams.
 
+pub mod filter;
+pub mod integrate;
 pub mod random;
+pub mod resample;
