@@ -1,1 +1,17 @@
 //! Trajectories on disk (MCAP), their index and splits, decimation and normalisation.
+
+pub mod atomic;
+mod coarse;
+mod index;
+mod message;
+mod normalisation;
+mod observation;
+mod reader;
+mod writer;
+
+pub use coarse::{Coarse, pick_channels};
+pub use index::{Index, IndexCase, IndexSensor, Outcome};
+pub use normalisation::{Accumulator, Normalisation};
+pub use observation::{Observation, observation_matrix};
+pub use reader::{Trajectory, read_trajectory};
+pub use writer::{Header, Sample, TrajectoryWriter};

@@ -1,0 +1,159 @@
+//! Manifest section `[motions]`: how many base motions, how strong, how long, with what frequencies.
+
+use super::cases::parse_cases;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Suite of synthetic base motions (manifest section `[motions]`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MotionSettings {
+    /// Number of motions.
+    pub count: usize,
+    /// Seed of all random choices.
+    pub seed: u64,
+    /// Duration of each motion, s.
+    pub duration_s: f64,
+    /// Time step, s.
+    #[serde(default = "default_step_s")]
+    pub step_s: f64,
+    /// Bands of peak acceleration; their counts add up to `count`.
+    pub bands: Vec<Band>,
+    /// Cases to train on, such as `"1-80"`.
+    pub train: String,
+    /// Cases to validate on, such as `"81-100"`.
+    pub validation: String,
+    /// Lower edge of the frequency content, Hz.
+    #[serde(default = "default_low_hz")]
+    pub low_hz: f64,
+    /// Upper edge of the frequency content, Hz.
+    #[serde(default = "default_high_hz")]
+    pub high_hz: f64,
+    /// Range of the dominant frequency, Hz, drawn log-uniformly for each motion.
+    #[serde(default = "default_dominant_hz")]
+    pub dominant_hz: [f64; 2],
+    /// Range of the strong-motion duration as a share of `duration_s`, drawn uniformly for each motion.
+    #[serde(default = "default_strong_share")]
+    pub strong_share: [f64; 2],
+}
+
+/// A band of peak ground acceleration, filled by stratified draws.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Band {
+    /// Number of motions in the band.
+    pub count: usize,
+    /// Smallest peak acceleration, g.
+    pub min_pga_g: f64,
+    /// Largest peak acceleration, g.
+    pub max_pga_g: f64,
+}
+
+fn default_step_s() -> f64 {
+    0.005
+}
+fn default_low_hz() -> f64 {
+    0.3
+}
+fn default_high_hz() -> f64 {
+    9.0
+}
+fn default_dominant_hz() -> [f64; 2] {
+    [0.8, 6.0]
+}
+fn default_strong_share() -> [f64; 2] {
+    [0.15, 0.55]
+}
+
+impl MotionSettings {
+    /// All that is wrong with the values: (dotted key, what is wrong).
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut found = Vec::new();
+        let mut say = |key: &str, what: String| found.push((key.to_string(), what));
+        let within = |v: f64, low: f64, high: f64| v >= low && v <= high;
+        if self.count == 0 || self.count > 9999 {
+            say("count", format!("`count` must be in 1…9999, got {}", self.count));
+        }
+        if !within(self.step_s, 1e-4, 0.05) {
+            say("step_s", format!("`step_s` must be in 0.0001…0.05 s, got {}", self.step_s));
+        }
+        if !within(self.duration_s, 4.0, 600.0) {
+            say("duration_s", format!("`duration_s` must be in 4…600 s, got {}", self.duration_s));
+        }
+        if !within(self.low_hz, 0.05, 5.0) || self.low_hz * self.duration_s < 2.0 {
+            let least = (2.0 / self.duration_s).max(0.05);
+            say(
+                "low_hz",
+                format!("`low_hz` must be in {least:.3}…5 Hz (two periods within the motion), got {}", self.low_hz),
+            );
+        }
+        let nyquist_share = 0.4 / self.step_s;
+        if !(self.high_hz > 2.0 * self.low_hz && self.high_hz <= nyquist_share) {
+            say(
+                "high_hz",
+                format!(
+                    "`high_hz` must be in {:.3}…{nyquist_share:.1} Hz (twice `low_hz` to 0.4/`step_s`), got {}",
+                    2.0 * self.low_hz,
+                    self.high_hz
+                ),
+            );
+        }
+        let [first, last] = self.dominant_hz;
+        if !(first >= self.low_hz && first <= last && last <= self.high_hz) {
+            say(
+                "dominant_hz",
+                format!(
+                    "`dominant_hz` must rise within `low_hz`…`high_hz` ({}…{} Hz), got [{first}, {last}]",
+                    self.low_hz, self.high_hz
+                ),
+            );
+        }
+        let [first, last] = self.strong_share;
+        if !(first >= 0.05 && first <= last && last <= 0.8) {
+            say("strong_share", format!("`strong_share` must rise within 0.05…0.8, got [{first}, {last}]"));
+        }
+        self.band_problems(&mut say);
+        self.split_problems(&mut say);
+        found
+    }
+
+    fn band_problems(&self, say: &mut dyn FnMut(&str, String)) {
+        let total: usize = self.bands.iter().map(|b| b.count).sum();
+        if total != self.count {
+            say("bands", format!("the bands hold {total} motions, but `count` is {}", self.count));
+        }
+        for (i, band) in self.bands.iter().enumerate() {
+            if !(band.min_pga_g > 0.0 && band.min_pga_g < band.max_pga_g && band.max_pga_g <= 5.0) {
+                say(
+                    &format!("bands.{i}"),
+                    format!(
+                        "a band must rise within 0…5 g, got `min_pga_g` {} and `max_pga_g` {}",
+                        band.min_pga_g, band.max_pga_g
+                    ),
+                );
+            }
+        }
+    }
+
+    fn split_problems(&self, say: &mut dyn FnMut(&str, String)) {
+        let mut taken = Vec::new();
+        for (key, text) in [("train", &self.train), ("validation", &self.validation)] {
+            match parse_cases(text) {
+                Err(error) => say(key, error.what().to_string()),
+                Ok(cases) => {
+                    for case in cases {
+                        if case > self.count {
+                            say(key, format!("case {case} in `{text}` is beyond `count` = {}", self.count));
+                            break;
+                        }
+                        if taken.contains(&case) {
+                            say(key, format!("case {case} is in both `train` and `validation`"));
+                            break;
+                        }
+                        taken.push(case);
+                    }
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! Raw KiK-net ASCII: six files an event, `<event>.<component>1` in the borehole and `<event>.<component>2` at the surface.
+//!
+//! Seventeen header lines (label to column 18, value after it), then integer counts, eight a line:
+//! `acceleration (gal) = count × scale − mean`. The header's peak is checked against the one that comes out.
+
+use super::record::{Record, Sensor};
+use super::{Format, Request};
+use crate::error::{Context, Error, Result};
+use crate::registry::{Entry, params};
+use crate::units::AccelerationUnit;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Lines before the counts.
+const N_HEADER: usize = 17;
+/// Columns of a header line taken by its label.
+const LABEL_WIDTH: usize = 18;
+
+pub(super) const ENTRY: Entry<dyn Format> = Entry {
+    name: "kiknet",
+    about: "raw KiK-net ASCII: `.NS1 .EW1` borehole, `.NS2 .EW2` surface",
+    build: |table| Ok(Box::new(params::<Kiknet>(table)?)),
+    schema: || schemars::schema_for!(Kiknet),
+};
+
+/// Raw KiK-net ASCII; the event name of the manifest is the file stem, with or without the station code.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Kiknet {
+    /// Station code put before the event names, such as `NIGH18`.
+    #[serde(default)]
+    pub station: String,
+}
+
+impl Kiknet {
+    fn file(&self, request: &Request, place: u8) -> PathBuf {
+        request.dir.join(format!("{}{}.{}{place}", self.station, request.event, request.component))
+    }
+}
+
+impl Format for Kiknet {
+    fn files(&self, request: &Request) -> Vec<PathBuf> {
+        vec![self.file(request, 1), self.file(request, 2)]
+    }
+
+    fn read(&self, request: &Request) -> Result<Record> {
+        if request.unit != AccelerationUnit::Gal {
+            return Err(Error::new("raw KiK-net files hold gal, but the manifest declares another unit")
+                .hint("set `records.unit = \"gal\"`"));
+        }
+        let [surface] = request.outputs else {
+            return Err(Error::new(format!(
+                "a KiK-net station has one output sensor, the surface; the manifest names {}",
+                request.outputs.len()
+            ))
+            .hint("leave one `[[sensors.output]]` at depth 0"));
+        };
+        let read = |place: u8| -> Result<Channel> {
+            let path = self.file(request, place);
+            let bytes = std::fs::read(&path).context(|| format!("cannot read `{}`", path.display()))?;
+            parse(&String::from_utf8_lossy(&bytes)).map_err(|e| e.at(format!("`{}`", path.display())))
+        };
+        let (below, above) = (read(1)?, read(2)?);
+        if below.dt_s != above.dt_s || below.record_time != above.record_time {
+            return Err(Error::new(format!(
+                "borehole and surface differ in start or step: {} at {} s against {} at {} s",
+                below.record_time, below.dt_s, above.record_time, above.dt_s
+            ))
+            .hint("both files must come from the same download of one event"));
+        }
+        // The two files can differ by a few trailing samples.
+        let n = below.acceleration_m_s2.len().min(above.acceleration_m_s2.len());
+        let sensor = |name: &str, mut a: Vec<f64>| {
+            a.truncate(n);
+            Sensor { name: name.into(), acceleration_m_s2: a }
+        };
+        Ok(Record {
+            event: request.event.into(),
+            component: request.component.into(),
+            dt_s: below.dt_s,
+            input: sensor(request.input, below.acceleration_m_s2),
+            outputs: vec![sensor(surface, above.acceleration_m_s2)],
+        })
+    }
+}
+
+/// One parsed file.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Channel {
+    /// Station code of the header.
+    pub station: String,
+    /// `Record Time` of the header (JST, 15 s trigger delay included).
+    pub record_time: String,
+    /// Time step, s.
+    pub dt_s: f64,
+    /// `Max. Acc.` of the header, m/s².
+    pub stated_peak_m_s2: f64,
+    /// Acceleration with its mean removed, m/s².
+    pub acceleration_m_s2: Vec<f64>,
+}
+
+/// Parses the text of one file.
+///
+/// # Errors
+/// When a header line or a count is not what the format says, or the peak is not the stated one; the line is named.
+pub fn parse(text: &str) -> Result<Channel> {
+    let lines: Vec<&str> = text.lines().collect();
+    if lines.len() <= N_HEADER {
+        return Err(Error::new(format!(
+            "the file has {} lines, {N_HEADER} of header and then counts are needed",
+            lines.len()
+        ))
+        .hint("download the file again; was it cut off?"));
+    }
+    let value = |line: usize, label: &str| -> Result<&str> {
+        let text = lines[line - 1];
+        match (text.get(..label.len()), text.get(LABEL_WIDTH..)) {
+            (Some(found), Some(value)) if found == label => Ok(value.trim()),
+            _ => Err(Error::new(format!("line {line} must start with `{label}`, got `{}`", shown(text)))
+                .hint("only raw KiK-net ASCII is read here; is it a K-NET or a converted file?")),
+        }
+    };
+    let rate_hz = leading_number(value(11, "Sampling Freq(Hz)")?).filter(|f| (1.0..=1000.0).contains(f));
+    let rate_hz = rate_hz.ok_or_else(|| wrong(11, "a sampling frequency in 1…1000 Hz", lines[10]))?;
+    let scale_gal =
+        scale(value(14, "Scale Factor")?).ok_or_else(|| wrong(14, "a scale such as `3923(gal)/8224838`", lines[13]))?;
+    let stated_gal =
+        leading_number(value(15, "Max. Acc. (gal)")?).ok_or_else(|| wrong(15, "a peak in gal", lines[14]))?;
+    let mut counts: Vec<f64> = Vec::with_capacity(8 * (lines.len() - N_HEADER));
+    for (i, line) in lines.iter().enumerate().skip(N_HEADER) {
+        for word in line.split_whitespace() {
+            let count: i32 = word.parse().map_err(|_| wrong(i + 1, "integer counts", word))?;
+            counts.push(f64::from(count));
+        }
+    }
+    if counts.len() < 3 {
+        return Err(Error::new(format!("the file has {} counts, at least 3 are needed", counts.len()))
+            .hint("download the file again; was it cut off?"));
+    }
+    let mean = counts.iter().sum::<f64>() / counts.len() as f64;
+    let peak_gal = counts.iter().fold(0.0f64, |m, c| m.max((c - mean).abs())) * scale_gal;
+    if (peak_gal - stated_gal.abs()).abs() > 0.01 + 0.005 * stated_gal.abs() {
+        return Err(Error::new(format!(
+            "the counts peak at {peak_gal:.3} gal, but line 15 states {stated_gal:.3} gal"
+        ))
+        .hint("the file is damaged or cut off: download it again"));
+    }
+    let m_s2 = scale_gal * AccelerationUnit::Gal.m_s2();
+    Ok(Channel {
+        station: value(6, "Station Code")?.into(),
+        record_time: value(10, "Record Time")?.into(),
+        dt_s: 1.0 / rate_hz,
+        stated_peak_m_s2: stated_gal * AccelerationUnit::Gal.m_s2(),
+        acceleration_m_s2: counts.iter().map(|c| (c - mean) * m_s2).collect(),
+    })
+}
+
+fn wrong(line: usize, needed: &str, got: &str) -> Error {
+    Error::new(format!("line {line} must hold {needed}, got `{}`", shown(got)))
+        .hint("only raw KiK-net ASCII is read here; download the file again")
+}
+
+fn shown(text: &str) -> String {
+    text.chars().take(40).filter(|c| !c.is_control()).collect()
+}
+
+/// The number a text starts with: `100Hz` gives 100.
+fn leading_number(text: &str) -> Option<f64> {
+    let end = text.find(|c: char| !(c.is_ascii_digit() || ".+-eE".contains(c))).unwrap_or(text.len());
+    text[..end].parse().ok().filter(|v: &f64| v.is_finite())
+}
+
+/// `3923(gal)/8224838` in gal a count.
+fn scale(text: &str) -> Option<f64> {
+    let (full, counts) = text.split_once('/')?;
+    let scale = leading_number(full)? / leading_number(counts.trim())?;
+    (scale.is_finite() && scale > 0.0 && full.contains("gal")).then_some(scale)
+}

@@ -1,0 +1,151 @@
+//! Manifest section `[records]`: which events, where, in what unit and split.
+
+use crate::units::AccelerationUnit;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Measured (or twin) records (manifest section `[records]`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RecordSettings {
+    /// `csv`, `kiknet`, … or `twin`, whose records are computed from `truth`.
+    pub format: String,
+    /// Folder of the files, relative to the manifest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dir: Option<String>,
+    /// Unit of the files: `g`, `gal` or `m/s2`.
+    #[serde(default = "default_unit")]
+    pub unit: AccelerationUnit,
+    /// Manifest of the twin truth, relative to this manifest.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub truth: Option<String>,
+    /// Horizontal components, each calibrated by itself.
+    pub components: Vec<String>,
+    /// Events to calibrate on.
+    pub train: Vec<String>,
+    /// Events to select on.
+    pub validation: Vec<String>,
+    /// Events held out from everything.
+    pub test: Vec<String>,
+    /// Parameters of the format (`[records.options]`).
+    #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
+    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
+    pub options: toml::Table,
+}
+
+/// What an event may be used for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Split {
+    /// Coefficients are fitted on it.
+    Train,
+    /// The model is selected on it.
+    Validation,
+    /// Nothing is chosen by it.
+    Test,
+}
+
+fn default_unit() -> AccelerationUnit {
+    AccelerationUnit::MetrePerSecondSquared
+}
+
+impl RecordSettings {
+    /// All events with their split, in the order train, validation, test.
+    pub fn events(&self) -> impl Iterator<Item = (&str, Split)> {
+        [(&self.train, Split::Train), (&self.validation, Split::Validation), (&self.test, Split::Test)]
+            .into_iter()
+            .flat_map(|(events, split)| events.iter().map(move |event| (event.as_str(), split)))
+    }
+
+    /// All that is wrong with the values: (dotted key, what is wrong).
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut found = Vec::new();
+        let mut say = |key: &str, what: String| found.push((key.to_string(), what));
+        let names: Vec<&str> = super::FORMATS.iter().map(|e| e.name).chain(["twin"]).collect();
+        if self.format == "twin" {
+            if self.truth.is_none() {
+                say("truth", "records of format `twin` need `truth`, the manifest of the twin".into());
+            }
+        } else if !names.contains(&self.format.as_str()) {
+            let known = crate::registry::known(&names, &self.format);
+            say("format", format!("unknown record format `{}`; {known}", self.format));
+        } else if self.dir.is_none() {
+            say("dir", format!("records of format `{}` need `dir`, the folder of their files", self.format));
+        }
+        for (key, list) in [("components", &self.components), ("train", &self.train), ("validation", &self.validation)]
+        {
+            if list.is_empty() {
+                say(key, format!("`{key}` must name at least one"));
+            }
+        }
+        let mut seen: Vec<(&str, Split)> = Vec::new();
+        for (event, split) in self.events() {
+            let key = |s: Split| ["train", "validation", "test"][s as usize];
+            if let Some(bad) = bad_character(event) {
+                say(key(split), format!("event `{event}` holds `{bad}`, which a file name cannot"));
+            }
+            match seen.iter().find(|(name, _)| *name == event) {
+                Some((_, first)) if *first == split => say(key(split), format!("event `{event}` comes twice")),
+                Some((_, first)) => say(
+                    key(split),
+                    format!(
+                        "event `{event}` is in both `{}` and `{}`; an event belongs to one",
+                        key(*first),
+                        key(split)
+                    ),
+                ),
+                None => seen.push((event, split)),
+            }
+        }
+        for (i, component) in self.components.iter().enumerate() {
+            if let Some(bad) = bad_character(component) {
+                say("components", format!("component `{component}` holds `{bad}`, which a file name cannot"));
+            }
+            if self.components[..i].contains(component) {
+                say("components", format!("component `{component}` comes twice"));
+            }
+        }
+        found
+    }
+}
+
+fn bad_character(name: &str) -> Option<char> {
+    if name.is_empty() || name.starts_with('.') {
+        return Some(name.chars().next().unwrap_or(' '));
+    }
+    name.chars().find(|c| !(c.is_alphanumeric() || "-_.+ ".contains(*c)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(extra: &str) -> RecordSettings {
+        let text = format!(
+            "format = 'csv'\ndir = 'x'\nunit = 'g'\ncomponents = ['NS', 'EW']\ntrain = ['A']\nvalidation = ['B']\ntest = ['C']\n{extra}"
+        );
+        toml::from_str(&text).unwrap()
+    }
+
+    #[test]
+    fn a_sound_section_has_no_problems_and_lists_events_by_split() {
+        let s = settings("");
+        assert!(s.problems().is_empty());
+        let events: Vec<_> = s.events().collect();
+        assert_eq!(events, [("A", Split::Train), ("B", Split::Validation), ("C", Split::Test)]);
+    }
+
+    #[test]
+    fn every_problem_is_reported_at_its_key() {
+        let mut s = settings("");
+        s.format = "cvs".into();
+        s.test = vec!["A".into(), "../x".into()];
+        s.components.push("NS".into());
+        let keys: Vec<String> = s.problems().into_iter().map(|(k, _)| k).collect();
+        assert_eq!(keys, ["format", "test", "test", "components"]);
+        let twin = RecordSettings { format: "twin".into(), ..settings("") };
+        assert_eq!(twin.problems()[0].0, "truth");
+        let nowhere = RecordSettings { dir: None, ..settings("") };
+        assert_eq!(nowhere.problems()[0].0, "dir");
+    }
+}
