@@ -1,0 +1,282 @@
+//! Stage 3: the latent equations corrected by records, everything else held.
+//!
+//!     Ξ = Ξ₀ + ΔΞ,   L = mean ((C D(ẑ) − a_s)/σ_s)² + λ_Δ · mean_k |Δξ_k|²/|ξ₀_k|²                             (1)
+//!
+//! `ẑ` is the complete rollout from the sparse encoder's state at the end of the first window, `k` counts the latent
+//! equations. Selection is by the complete-rollout error of the validation events; a candidate that diverges on one of
+//! them cannot be selected. Called once for each component.
+
+use super::adam::{Adam, cosine};
+use super::adjoint::reverse;
+use super::case::{Event, amplitude_weights};
+use super::history::History;
+use super::integrator::{Forcing, Trajectory, rollout};
+use super::kernels::{LANES, Lanes};
+use super::mlp::{Mlp, Tape};
+use super::model::{SourceModel, SparseEncoder};
+use super::objective::{from_lanes, to_lanes};
+use super::observation::Observation;
+use super::pretrain::thresholds_after;
+use super::rollout::{Start, load_group};
+use super::settings::CalibrateSettings;
+use crate::error::{Error, Result};
+use crate::progress::Progress;
+use rayon::prelude::*;
+
+/// Longest gradient an optimiser step may follow.
+const CLIP: f64 = 10.0;
+
+/// Calibrated latent equations of one component.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Calibration {
+    /// Ξ per sample, `[n_term · r]`.
+    pub coefficients: Vec<f32>,
+    /// Which coefficients are kept.
+    pub mask: Vec<bool>,
+    /// Cosine similarity of Ξ and Ξ₀ as vectors.
+    pub cosine_similarity: f64,
+    /// Complete-rollout error of the validation events (mean squared, sensors in units of σ_s).
+    pub validation_error: f64,
+    /// Losses over the epochs.
+    pub history: History,
+}
+
+impl Calibration {
+    /// Number of coefficients kept.
+    pub fn terms_kept(&self) -> usize {
+        self.mask.iter().filter(|k| **k).count()
+    }
+}
+
+/// Calibrates the coefficients on `train` and keeps those best on `validation`; `Ξ₀` itself is the first candidate.
+///
+/// # Errors
+/// When events do not fit the model, or no candidate survives the validation events.
+pub fn calibrate(
+    model: &SourceModel,
+    encoder: &SparseEncoder,
+    observation: &Observation,
+    train: &[Event],
+    validation: &[Event],
+    settings: &CalibrateSettings,
+    progress: &dyn Progress,
+) -> Result<Calibration> {
+    check(model, encoder, observation, train, validation, settings)?;
+    let reader = Reader::new(model, observation);
+    let bound = settings.state_bound as f32;
+    let train = Records::new(encoder, &reader, train, settings.amplitude_weighting, bound);
+    let validation = Records::new(encoder, &reader, validation, settings.amplitude_weighting, bound);
+    let origin = model.coefficients();
+    let mut xi = origin.to_vec();
+    let mut mask = model.mask.clone();
+    let mut adam = Adam::new(xi.len());
+    let mut gradient = vec![0.0; xi.len()];
+    let mut best = (validation.error(&xi, None), xi.clone(), mask.clone());
+    let mut history = History::new(&["epoch", "total", "observation", "penalty", "terms", "validation"]);
+    history.rows.push(vec![0.0, f64::NAN, train.error(&xi, None), 0.0, count(&mask), finite_or_nan(best.0)]);
+    progress.start("calibrate", settings.epochs as u64);
+    for epoch in 0..settings.epochs {
+        let error = train.error(&xi, Some(&mut gradient));
+        let penalty = relative_penalty(origin, &xi, model.shape.latent, settings.penalty, &mut gradient);
+        gradient.iter_mut().zip(&mask).filter(|(_, keep)| !**keep).for_each(|(g, _)| *g = 0.0);
+        let rate = settings.learning_rate * cosine(epoch as f64 / settings.epochs as f64, settings.final_rate_share);
+        adam.update(&mut xi, &gradient, &[(0..origin.len(), rate)], CLIP);
+        let done = epoch + 1;
+        if thresholds_after(done, settings.epochs, settings.threshold_every) {
+            for (c, keep) in xi.iter_mut().zip(&mut mask) {
+                *keep &= f64::from(c.abs()) >= settings.threshold;
+                *c = if *keep { *c } else { 0.0 };
+            }
+            adam.restart();
+        }
+        let is_judged = done == settings.epochs || done.is_multiple_of(settings.validate_every);
+        let judged = if is_judged { validation.error(&xi, None) } else { f64::INFINITY };
+        if judged < best.0 {
+            best = (judged, xi.clone(), mask.clone());
+        }
+        let total = error + settings.penalty * penalty;
+        history.rows.push(vec![done as f64, total, error, penalty, count(&mask), finite_or_nan(judged)]);
+        progress.advance(1);
+    }
+    let (validation_error, coefficients, mask) = best;
+    if !validation_error.is_finite() {
+        return Err(Error::new("no calibrated coefficients survive the validation events")
+            .hint("lower `learning_rate`, or raise `penalty`"));
+    }
+    let cosine_similarity = cosine_similarity(origin, &coefficients);
+    Ok(Calibration { coefficients, mask, cosine_similarity, validation_error, history })
+}
+
+fn check(
+    model: &SourceModel,
+    encoder: &SparseEncoder,
+    observation: &Observation,
+    train: &[Event],
+    validation: &[Event],
+    settings: &CalibrateSettings,
+) -> Result<()> {
+    if let Some((key, problem)) = settings.problems().into_iter().next() {
+        return Err(Error::new(format!("`{key}` {problem}")).usage());
+    }
+    observation.check()?;
+    if observation.channel_depth_m.len() != model.shape.channels || observation.n_sensor() != encoder.n_sensor {
+        return Err(Error::new(format!(
+            "the observation has {} channels and {} sensors, the model {} and {}",
+            observation.channel_depth_m.len(),
+            observation.n_sensor(),
+            model.shape.channels,
+            encoder.n_sensor
+        )));
+    }
+    for (events, what) in [(train, "training"), (validation, "validation")] {
+        if events.is_empty() {
+            return Err(Error::new(format!("there is no {what} event")));
+        }
+        events.iter().try_for_each(|e| e.check(encoder.n_sensor, encoder.window))?;
+    }
+    Ok(())
+}
+
+/// `C D` as one network: the observation matrix folded into the decoder's last layer.
+struct Reader<'a> {
+    model: &'a SourceModel,
+    network: Mlp,
+    parameters: Vec<f32>,
+}
+
+impl<'a> Reader<'a> {
+    fn new(model: &'a SourceModel, observation: &Observation) -> Self {
+        let decoder = model.shape.decoder();
+        let matrix = observation.normalised_matrix();
+        let (n_channel, n_sensor) = (model.shape.channels, observation.n_sensor());
+        let network = Mlp::new(model.shape.latent, &model.shape.decoder_hidden, n_sensor, model.shape.has_linear_path);
+        let last = decoder.widths.len() - 2;
+        let mut parameters = Vec::with_capacity(network.n_parameter());
+        for tensor in decoder.tensors() {
+            let values = &model.decoder_parameters()[tensor.range.clone()];
+            if tensor.name.starts_with(&format!("{last}.")) || tensor.name.starts_with("linear.") {
+                let n = values.len() / n_channel;
+                for row in matrix.chunks_exact(n_channel) {
+                    parameters.extend((0..n).map(|j| (0..n_channel).map(|c| row[c] * values[c * n + j]).sum::<f32>()));
+                }
+            } else {
+                parameters.extend_from_slice(values);
+            }
+        }
+        debug_assert_eq!(parameters.len(), network.n_parameter());
+        debug_assert_eq!(n_sensor, network.n_output());
+        Self { model, network, parameters }
+    }
+}
+
+/// Events ready to be rolled out, in groups of lanes.
+struct Records<'a> {
+    reader: &'a Reader<'a>,
+    groups: Vec<Group>,
+    bound: f32,
+    count: f64,
+}
+
+struct Group {
+    forcing: Forcing,
+    z0: Vec<Lanes>,
+    n_lane: usize,
+    target: Vec<Vec<f32>>,
+    weight: Vec<f32>,
+}
+
+impl<'a> Records<'a> {
+    fn new(encoder: &SparseEncoder, reader: &'a Reader<'a>, events: &[Event], power: f64, bound: f32) -> Self {
+        let t0 = encoder.window - 1;
+        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
+        let starting: Vec<Vec<f32>> =
+            events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
+        let starts: Vec<Start<'_>> =
+            events.iter().zip(&starting).map(|(e, z0)| Start { z0, u: &e.u[t0..], u_half: &e.u_half[t0..] }).collect();
+        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * encoder.n_sensor..].to_vec()).collect();
+        let groups = starts
+            .chunks(LANES)
+            .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
+            .map(|(starts, (target, weight))| {
+                let (forcing, z0) = load_group(reader.model.shape.latent, starts, 1.0);
+                Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
+            })
+            .collect();
+        Self { reader, groups, bound, count: targets.iter().map(Vec::len).sum::<usize>() as f64 }
+    }
+
+    /// Weighted mean squared rollout error, infinite when a rollout diverges and no gradient is asked for; with one
+    /// (overwritten) the samples past a divergence count as a response of zero.
+    fn error(&self, xi: &[f32], gradient: Option<&mut [f32]>) -> f64 {
+        let is_wanted = gradient.is_some();
+        let parts: Vec<(f64, Vec<f32>)> = self.groups.par_iter().map(|g| self.group(g, xi, is_wanted)).collect();
+        if let Some(gradient) = gradient {
+            gradient.fill(0.0);
+            parts.iter().for_each(|(_, part)| gradient.iter_mut().zip(part).for_each(|(a, b)| *a += b));
+        }
+        parts.iter().map(|(sum, _)| sum).sum()
+    }
+
+    fn group(&self, group: &Group, xi: &[f32], is_wanted: bool) -> (f64, Vec<f32>) {
+        let library = self.reader.model.shape.library();
+        let (r, n_sensor) = (library.latent, self.reader.network.n_output());
+        let n_step = group.forcing.u.len();
+        let mut trajectory = Trajectory::default();
+        rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
+        if !is_wanted && trajectory.valid != group.forcing.length {
+            return (f64::INFINITY, Vec::new());
+        }
+        let mut z = vec![0.0; group.n_lane * n_step * r];
+        from_lanes(&trajectory.z, r, n_step, &mut z);
+        let (mut tape, mut response) = (Tape::default(), Vec::new());
+        self.reader.network.forward(&self.reader.parameters, &z, &mut tape, &mut response);
+        let mut sum = 0.0;
+        for (lane, series) in response.chunks_exact_mut(n_step * n_sensor).enumerate() {
+            let scale = f64::from(group.weight[lane]) / self.count;
+            let (inside, beyond) = series.split_at_mut(group.target[lane].len());
+            beyond.fill(0.0);
+            for (i, (a, target)) in inside.iter_mut().zip(&group.target[lane]).enumerate() {
+                let is_valid = i / n_sensor < trajectory.valid[lane];
+                let error = if is_valid { *a - target } else { -target };
+                sum += scale * f64::from(error).powi(2);
+                *a = if is_valid { (2.0 * scale) as f32 * error } else { 0.0 };
+            }
+        }
+        if !is_wanted {
+            return (sum, Vec::new());
+        }
+        let mut d_z = vec![0.0; z.len()];
+        self.reader.network.backward(&self.reader.parameters, &z, &mut tape, &response, None, Some(&mut d_z));
+        let mut dz = Vec::new();
+        to_lanes(&d_z, r, n_step, group.n_lane, &mut dz);
+        let mut dxi = vec![Lanes::ZERO; xi.len()];
+        reverse(library, xi, &group.forcing, &trajectory, &mut dz, &mut dxi);
+        (sum, dxi.iter().map(Lanes::sum).collect())
+    }
+}
+
+/// `mean_k |Δξ_k|²/|ξ₀_k|²`; `factor` times its gradient is added.
+fn relative_penalty(origin: &[f32], xi: &[f32], r: usize, factor: f64, gradient: &mut [f32]) -> f64 {
+    let norms = |x: &dyn Fn(usize) -> f64| -> Vec<f64> {
+        (0..r).map(|k| (k..origin.len()).step_by(r).map(|i| x(i).powi(2)).sum()).collect()
+    };
+    let size = norms(&|i| f64::from(origin[i])).into_iter().map(|s| s.max(1e-12)).collect::<Vec<f64>>();
+    let change = norms(&|i| f64::from(xi[i] - origin[i]));
+    for (i, g) in gradient.iter_mut().enumerate() {
+        *g += (2.0 * factor * f64::from(xi[i] - origin[i]) / (size[i % r] * r as f64)) as f32;
+    }
+    change.iter().zip(&size).map(|(c, s)| c / s).sum::<f64>() / r as f64
+}
+
+fn count(mask: &[bool]) -> f64 {
+    mask.iter().filter(|k| **k).count() as f64
+}
+
+fn finite_or_nan(value: f64) -> f64 {
+    if value.is_finite() { value } else { f64::NAN }
+}
+
+fn cosine_similarity(a: &[f32], b: &[f32]) -> f64 {
+    let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
+    dot(a, b) / (dot(a, a) * dot(b, b)).sqrt().max(f64::MIN_POSITIVE)
+}

@@ -1,0 +1,191 @@
+//! Stage 2: a sparse encoder that finds the source model's latent states from the sensors alone.
+//!
+//!     L = MSE(E_S(H_L[a_s]), E_T(H_L[a_d])), windows ending at the same sample                                  (1)
+//!
+//! Only E_S is trained; the targets are constants. The candidate with the lowest validation error (1) is kept.
+
+use super::adam::{Adam, cosine};
+use super::case::{Case, amplitude_weights};
+use super::history::History;
+use super::mlp::{Mlp, Tape};
+use super::model::{SourceModel, SparseEncoder, windows};
+use super::ridge::Regression;
+use super::settings::DistillSettings;
+use crate::error::{Error, Result};
+use crate::numerics::random::stream;
+use crate::progress::Progress;
+use rand::RngExt;
+use rand::seq::SliceRandom;
+use rayon::prelude::*;
+
+/// Rows of one chunk; a batch is cut alike on any number of threads.
+const CHUNK: usize = 128;
+
+/// Trains a sparse encoder and returns the best candidate with the loss history.
+///
+/// # Errors
+/// When cases do not fit the settings or the source model.
+pub fn distill(
+    model: &SourceModel,
+    train: &[Case],
+    validation: &[Case],
+    settings: &DistillSettings,
+    seed: u64,
+    progress: &dyn Progress,
+) -> Result<(SparseEncoder, History)> {
+    let n_sensor = check(model, train, validation, settings)?;
+    let network = SparseEncoder::network(settings, n_sensor, model.shape.latent);
+    let pairs = Pairs::new(model, train, settings, n_sensor, &[1.0, -1.0][..if settings.mirror { 2 } else { 1 }]);
+    let check = Pairs::new(model, validation, settings, n_sensor, &[1.0]);
+    let mut parameters = network.initial(&mut stream(seed, "distill start"));
+    if let Some(range) = network.skip_range() {
+        parameters[range].copy_from_slice(&pairs.linear_map()?);
+    }
+    let mut history = History::new(&["epoch", "latent", "validation_latent"]);
+    let mut adam = Adam::new(parameters.len());
+    let mut best = (f64::INFINITY, parameters.clone());
+    let mut gradient = vec![0.0; parameters.len()];
+    progress.start("distill", settings.epochs as u64);
+    for epoch in 0..settings.epochs {
+        let factor = cosine(epoch as f64 / settings.epochs as f64, settings.final_rate_share);
+        let groups = [(0..parameters.len(), factor * settings.learning_rate)];
+        let mut random = stream(seed, &format!("distill epoch {epoch}"));
+        let n = pairs.n_row / pairs.n_sign;
+        let mut order: Vec<usize> = (0..n).map(|i| i + n * random.random_range(0..pairs.n_sign)).collect();
+        order.shuffle(&mut random);
+        let mut mean = 0.0;
+        for batch in order.chunks(settings.batch) {
+            mean += pairs.loss(&network, &parameters, batch, Some(&mut gradient)) * batch.len() as f64 / n as f64;
+            adam.update(&mut parameters, &gradient, &groups, f64::INFINITY);
+        }
+        let all: Vec<usize> = (0..check.n_row).collect();
+        let error = check.loss(&network, &parameters, &all, None);
+        if error < best.0 {
+            best = (error, parameters.clone());
+        }
+        history.rows.push(vec![(epoch + 1) as f64, mean, error]);
+        progress.advance(1);
+    }
+    if !best.0.is_finite() {
+        return Err(Error::new("the sparse encoder never gave a finite error").hint("lower `learning_rate`"));
+    }
+    Ok((SparseEncoder { window: settings.window, n_sensor, network, parameters: best.1 }, history))
+}
+
+fn check(model: &SourceModel, train: &[Case], validation: &[Case], settings: &DistillSettings) -> Result<usize> {
+    if let Some((key, problem)) = settings.problems().into_iter().next() {
+        return Err(Error::new(format!("`{key}` {problem}")).usage());
+    }
+    let first = train.first().ok_or_else(|| Error::new("there is no training case"))?;
+    let n_sensor = first.sparse.len() / first.u.len().max(1);
+    if n_sensor == 0 || validation.is_empty() {
+        return Err(Error::new("distillation needs at least one sensor and one validation case"));
+    }
+    let window = settings.window.max(model.shape.window);
+    train.iter().chain(validation).try_for_each(|c| c.check(model.shape.channels, n_sensor, window))?;
+    Ok(n_sensor)
+}
+
+/// Windows of the sensors beside the latent states of the dense windows that end with them.
+struct Pairs {
+    n_row: usize,
+    n_sign: usize,
+    n_x: usize,
+    n_z: usize,
+    x: Vec<f32>,
+    z: Vec<f32>,
+    weight: Vec<f32>,
+}
+
+impl Pairs {
+    fn new(model: &SourceModel, cases: &[Case], settings: &DistillSettings, n_sensor: usize, signs: &[f32]) -> Self {
+        let r = model.shape.latent;
+        let case_weight = amplitude_weights(cases.iter().map(|c| c.dense.as_slice()), settings.amplitude_weighting);
+        let first = settings.window.max(model.shape.window) - 1;
+        let n_x = settings.window * n_sensor;
+        let mut pairs = Self { n_row: 0, n_sign: signs.len(), n_x, n_z: r, x: vec![], z: vec![], weight: vec![] };
+        for sign in signs {
+            let signed = |x: &[f32]| x.iter().map(|v| v * sign).collect::<Vec<f32>>();
+            for (case, weight) in cases.iter().zip(&case_weight) {
+                let z = model.encode(&signed(&case.dense));
+                let x = windows(&signed(&case.sparse), n_sensor, settings.window);
+                pairs.z.extend(&z[(first + 1 - model.shape.window) * r..]);
+                pairs.x.extend(&x[(first + 1 - settings.window) * n_x..]);
+                pairs.weight.resize(pairs.z.len() / r, *weight);
+            }
+        }
+        pairs.n_row = pairs.weight.len();
+        pairs
+    }
+
+    /// Row-major `[r · n_x]` of the best linear encoder.
+    fn linear_map(&self) -> Result<Vec<f32>> {
+        let mut regression = Regression::new(self.n_x, self.n_z);
+        let double = |x: &[f32]| x.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>();
+        for ((x, z), weight) in self.x.chunks_exact(self.n_x).zip(self.z.chunks_exact(self.n_z)).zip(&self.weight) {
+            regression.add(&double(x), &double(z), f64::from(*weight));
+        }
+        let map = regression.solve(1e-6)?;
+        Ok((0..self.n_z).flat_map(|i| (0..self.n_x).map(move |j| (i, j))).map(|at| map[at] as f32).collect())
+    }
+
+    /// Weighted mean squared latent error (1) of some rows, and its gradient where wanted (overwritten).
+    fn loss(&self, network: &Mlp, parameters: &[f32], rows: &[usize], gradient: Option<&mut [f32]>) -> f64 {
+        let is_wanted = gradient.is_some();
+        let count = (rows.len() * self.n_z) as f64;
+        let parts: Vec<(f64, Vec<f32>)> = rows
+            .par_chunks(CHUNK)
+            .map(|rows| {
+                let x: Vec<f32> =
+                    rows.iter().flat_map(|i| &self.x[i * self.n_x..(i + 1) * self.n_x]).copied().collect();
+                let (mut tape, mut z, mut sum) = (Tape::default(), Vec::new(), 0.0);
+                network.forward(parameters, &x, &mut tape, &mut z);
+                for (z, i) in z.chunks_exact_mut(self.n_z).zip(rows) {
+                    let scale = (2.0 * f64::from(self.weight[*i]) / count) as f32;
+                    for (z, target) in z.iter_mut().zip(&self.z[i * self.n_z..]) {
+                        *z -= target;
+                        sum += f64::from(self.weight[*i] * *z * *z) / count;
+                        *z *= scale;
+                    }
+                }
+                let mut gradient = vec![0.0; if is_wanted { parameters.len() } else { 0 }];
+                if is_wanted {
+                    network.backward(parameters, &x, &mut tape, &z, Some(&mut gradient), None);
+                }
+                (sum, gradient)
+            })
+            .collect();
+        if let Some(gradient) = gradient {
+            gradient.fill(0.0);
+            parts.iter().for_each(|(_, part)| gradient.iter_mut().zip(part).for_each(|(a, b)| *a += b));
+        }
+        parts.iter().map(|(sum, _)| sum).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_gradient_of_the_latent_error_matches_finite_differences() {
+        let network = Mlp::new(3, &[6], 2, true);
+        let mut random = stream(2, "distill test");
+        let mut draw = |n: usize| (0..n).map(|_| random.random::<f32>() - 0.5).collect::<Vec<f32>>();
+        let n_row = 300;
+        let weight = draw(n_row).iter().map(|w| w + 1.0).collect();
+        let pairs = Pairs { n_row, n_sign: 1, n_x: 3, n_z: 2, x: draw(3 * n_row), z: draw(2 * n_row), weight };
+        let parameters = draw(network.n_parameter());
+        let rows: Vec<usize> = (0..n_row).collect();
+        let mut gradient = vec![0.0; parameters.len()];
+        pairs.loss(&network, &parameters, &rows, Some(&mut gradient));
+        for (i, g) in gradient.iter().enumerate() {
+            let (mut up, mut down) = (parameters.clone(), parameters.clone());
+            up[i] += 1e-2;
+            down[i] -= 1e-2;
+            let rise = pairs.loss(&network, &up, &rows, None) - pairs.loss(&network, &down, &rows, None);
+            let slope = rise / f64::from(up[i] - down[i]);
+            assert!((f64::from(*g) - slope).abs() < 1e-4 * (1.0 + slope.abs()), "parameter {i}: {g} {slope}");
+        }
+    }
+}

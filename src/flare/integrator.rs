@@ -1,0 +1,197 @@
+//! Runge–Kutta rollout of the latent equations for a group of sequences side by side, bounded.
+//!
+//!     z_{t+1} = z_t + (k_1 + 2 k_2 + 2 k_3 + k_4)/6                            (1)
+//!     k_1 = f(z_t, u_t),  k_2 = f(z_t + k_1/2, u_{t+½}),  k_3 = f(z_t + k_2/2, u_{t+½}),  k_4 = f(z_t + k_3, u_{t+1})
+//!
+//! Time is counted in samples, so the step is 1 and coefficients are of order one; the model turns them into 1/s. A state
+//! beyond the bound, or no number at all, ends its lane there: what follows is held at zero and counts as not predicted.
+
+use super::kernels::{Kernel, LANES, Lanes, dispatch};
+use super::library::Library;
+
+/// What drives a group: base acceleration at the samples and half-way between, and how long each lane lasts.
+#[derive(Debug, Clone, Default)]
+pub struct Forcing {
+    /// `[n_step]`.
+    pub u: Vec<Lanes>,
+    /// `[n_step − 1]`.
+    pub u_half: Vec<Lanes>,
+    /// Samples of each lane, at most `n_step`; 0 for an unused lane.
+    pub length: [usize; LANES],
+}
+
+impl Forcing {
+    /// Zeroes everything for `n_step` samples and no lane in use.
+    pub fn reset(&mut self, n_step: usize) {
+        self.u.clear();
+        self.u.resize(n_step, Lanes::ZERO);
+        self.u_half.clear();
+        self.u_half.resize(n_step.saturating_sub(1), Lanes::ZERO);
+        self.length = [0; LANES];
+    }
+
+    /// Puts one sequence into `lane`, multiplied by `sign`.
+    pub fn set(&mut self, lane: usize, u: &[f32], u_half: &[f32], sign: f32) {
+        self.length[lane] = u.len();
+        for (to, from) in self.u.iter_mut().zip(u) {
+            to.0[lane] = from * sign;
+        }
+        for (to, from) in self.u_half.iter_mut().zip(&u_half[..u.len().saturating_sub(1)]) {
+            to.0[lane] = from * sign;
+        }
+    }
+}
+
+/// A rolled-out group with what the reverse pass needs.
+#[derive(Debug, Clone, Default)]
+pub struct Trajectory {
+    /// States `[n_step · r]`.
+    pub z: Vec<Lanes>,
+    /// The four stage states of each step, `[(n_step − 1) · 4 · r]`.
+    pub stages: Vec<Lanes>,
+    /// Samples of each lane that are valid: its length, or fewer where it left the bound.
+    pub valid: [usize; LANES],
+}
+
+struct Rollout<'a> {
+    library: Library,
+    xi: &'a [f32],
+    forcing: &'a Forcing,
+    bound: f32,
+    to: &'a mut Trajectory,
+}
+
+/// Rolls the group out from `z0[r]` through `forcing`, in place in `to`.
+pub fn rollout(library: Library, xi: &[f32], z0: &[Lanes], forcing: &Forcing, bound: f32, to: &mut Trajectory) {
+    let r = library.latent;
+    let n_step = forcing.u.len();
+    to.z.clear();
+    to.z.resize(n_step * r, Lanes::ZERO);
+    to.stages.clear();
+    to.stages.resize(n_step.saturating_sub(1) * 4 * r, Lanes::ZERO);
+    to.valid = forcing.length;
+    if n_step > 0 {
+        to.z[..r].copy_from_slice(z0);
+        end_lanes(&mut to.z[..r], &mut [], 0, bound, &mut to.valid);
+    }
+    dispatch(Rollout { library, xi, forcing, bound, to });
+}
+
+impl Kernel for Rollout<'_> {
+    type Out = ();
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let r = self.library.latent;
+        let n_step = self.forcing.u.len();
+        let mut theta = vec![Lanes::ZERO; self.library.n_term()];
+        let mut slope = vec![Lanes::ZERO; r];
+        let mut sum = vec![Lanes::ZERO; r];
+        for t in 1..n_step {
+            let (past, next) = self.to.z.split_at_mut(t * r);
+            let (z, next) = (&past[(t - 1) * r..], &mut next[..r]);
+            let stages = &mut self.to.stages[(t - 1) * 4 * r..t * 4 * r];
+            sum.fill(Lanes::ZERO);
+            stages[..r].copy_from_slice(z);
+            for (s, (ahead, weight)) in [(0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)].into_iter().enumerate() {
+                let u = match s {
+                    0 => &self.forcing.u[t - 1],
+                    1 | 2 => &self.forcing.u_half[t - 1],
+                    _ => &self.forcing.u[t],
+                };
+                self.library.terms(&stages[s * r..(s + 1) * r], u, &mut theta);
+                self.library.combine::<FMA>(&theta, self.xi, &mut slope);
+                for k in 0..r {
+                    sum[k].add_scaled::<FMA>(&slope[k], weight);
+                    if s < 3 {
+                        let mut ahead_state = z[k];
+                        ahead_state.add_scaled::<FMA>(&slope[k], ahead);
+                        stages[(s + 1) * r + k] = ahead_state;
+                    }
+                }
+            }
+            for k in 0..r {
+                next[k] = z[k];
+                next[k].add_scaled::<FMA>(&sum[k], 1.0 / 6.0); // (1)
+            }
+            end_lanes(next, stages, t, self.bound, &mut self.to.valid);
+        }
+    }
+}
+
+/// Ends lanes that left the bound at sample `t` and zeroes whatever lies past the end of a lane.
+#[inline(always)]
+fn end_lanes(state: &mut [Lanes], stages: &mut [Lanes], t: usize, bound: f32, valid: &mut [usize; LANES]) {
+    let mut inside = [true; LANES];
+    for z in state.iter() {
+        for (inside, z) in inside.iter_mut().zip(&z.0) {
+            *inside &= z.abs() <= bound;
+        }
+    }
+    for lane in 0..LANES {
+        if !inside[lane] {
+            valid[lane] = valid[lane].min(t);
+        }
+        if t >= valid[lane] {
+            state.iter_mut().chain(stages.iter_mut()).for_each(|z| z.0[lane] = 0.0);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A damped oscillator `z1' = z2, z2' = −ω² z1 − 2ζω z2 + u` in units of `step`.
+    fn oscillator(step: f64) -> Vec<f32> {
+        let library = Library { latent: 2 };
+        let mut xi = vec![0.0; library.n_coefficient()];
+        let (omega, zeta) = (3.0, 0.05);
+        xi[2 * 2] = step as f32;
+        xi[2 + 1] = (-omega * omega * step) as f32;
+        xi[2 * 2 + 1] = (-2.0 * zeta * omega * step) as f32;
+        xi[library.input_row() * 2 + 1] = step as f32;
+        xi
+    }
+
+    fn roll(step: f64, n_step: usize) -> f64 {
+        let u = |t: f64| (2.0 * t).sin() as f32;
+        let series: Vec<f32> = (0..n_step).map(|i| u(i as f64 * step)).collect();
+        let half: Vec<f32> = (0..n_step - 1).map(|i| u((i as f64 + 0.5) * step)).collect();
+        let mut forcing = Forcing::default();
+        forcing.reset(n_step);
+        forcing.set(5, &series, &half, 1.0);
+        let mut to = Trajectory::default();
+        rollout(Library { latent: 2 }, &oscillator(step), &[Lanes::ZERO; 2], &forcing, 1e3, &mut to);
+        assert_eq!(to.valid[5], n_step);
+        f64::from(to.z[(n_step - 1) * 2].0[5])
+    }
+
+    #[test]
+    fn rollout_is_fourth_order_in_the_step() {
+        let exact = roll(0.005, 801);
+        let coarse = (roll(0.2, 21) - exact).abs();
+        let fine = (roll(0.1, 41) - exact).abs();
+        let slope = (coarse / fine).log2();
+        assert!(slope > 3.6 && slope < 4.6, "order {slope}, errors {coarse:e} and {fine:e}");
+    }
+
+    #[test]
+    fn a_diverging_lane_ends_and_leaves_its_neighbours_alone() {
+        let library = Library { latent: 1 };
+        let xi = [0.0, 0.0, 1.0, 0.0]; // z' = z², finite-time blow-up from a positive start
+        let mut forcing = Forcing::default();
+        forcing.reset(50);
+        forcing.set(0, &[0.0; 50], &[0.0; 49], 1.0);
+        forcing.set(1, &[0.0; 50], &[0.0; 49], 1.0);
+        let mut z0 = [Lanes::ZERO];
+        z0[0].0[0] = 0.5;
+        z0[0].0[1] = -0.5;
+        let mut to = Trajectory::default();
+        rollout(library, &xi, &z0, &forcing, 100.0, &mut to);
+        assert!(to.valid[0] < 10, "ended at {}", to.valid[0]);
+        assert_eq!(to.valid[1], 50);
+        assert_eq!(to.valid[2], 0);
+        assert!(to.z.iter().chain(&to.stages).all(|z| z.0.iter().all(|v| v.is_finite())));
+        assert!((f64::from(to.z[49].0[1]) + 1.0 / (2.0 + 49.0)).abs() < 1e-3);
+    }
+}

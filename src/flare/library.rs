@@ -1,0 +1,231 @@
+//! The candidate library Θ(z, u) of the latent equations: which terms there are, in which order, under which names.
+//!
+//! Order: `1`, then `z_i`, then `z_i z_j` for `i ≤ j`, then `u`. The arithmetic runs on [`Lanes`]; names serve the
+//! printed equations and the checkpoint card.
+
+use super::kernels::Lanes;
+
+/// Constant, linear and quadratic functions of the latent state, and the base acceleration.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Library {
+    /// Latent dimension r.
+    pub latent: usize,
+}
+
+/// Most outputs whose sums are kept in registers at once.
+const BLOCK: usize = 7;
+
+impl Library {
+    /// Number of terms, `2 + r + r(r+1)/2`.
+    pub fn n_term(&self) -> usize {
+        2 + self.latent + self.latent * (self.latent + 1) / 2
+    }
+
+    /// Number of coefficients of the latent equations.
+    pub fn n_coefficient(&self) -> usize {
+        self.n_term() * self.latent
+    }
+
+    /// Names in order: `1`, `z1`, …, `z1^2`, `z1 z2`, …, `u`.
+    pub fn names(&self) -> Vec<String> {
+        let r = self.latent;
+        let linear = (1..=r).map(|i| format!("z{i}"));
+        let quadratic =
+            (1..=r).flat_map(|i| (i..=r).map(move |j| if i == j { format!("z{i}^2") } else { format!("z{i} z{j}") }));
+        std::iter::once("1".to_string())
+            .chain(linear)
+            .chain(quadratic)
+            .chain(std::iter::once("u".to_string()))
+            .collect()
+    }
+
+    /// Row of the linear term `z_{i+1}`.
+    pub fn linear_row(&self, i: usize) -> usize {
+        1 + i
+    }
+
+    /// Row of the base acceleration.
+    pub fn input_row(&self) -> usize {
+        self.n_term() - 1
+    }
+
+    /// Θ(z, u): `theta[n_term]` from `z[r]`.
+    #[inline(always)]
+    pub fn terms(&self, z: &[Lanes], u: &Lanes, theta: &mut [Lanes]) {
+        let r = self.latent;
+        theta[0] = Lanes::splat(1.0);
+        theta[1..=r].copy_from_slice(&z[..r]);
+        let mut p = 1 + r;
+        for i in 0..r {
+            for j in i..r {
+                theta[p] = Lanes::product(&z[i], &z[j]);
+                p += 1;
+            }
+        }
+        theta[p] = *u;
+    }
+
+    /// Θ Ξ: `out[r] = Ξᵀ θ` with `xi[n_term · r]`.
+    #[inline(always)]
+    pub fn combine<const FMA: bool>(&self, theta: &[Lanes], xi: &[f32], out: &mut [Lanes]) {
+        let r = self.latent;
+        let width = r.div_ceil(r.div_ceil(BLOCK));
+        let mut k = 0;
+        while k < r {
+            let n = width.min(r - k);
+            match n {
+                1 => combine_block::<FMA, 1>(theta, xi, r, k, out),
+                2 => combine_block::<FMA, 2>(theta, xi, r, k, out),
+                3 => combine_block::<FMA, 3>(theta, xi, r, k, out),
+                4 => combine_block::<FMA, 4>(theta, xi, r, k, out),
+                5 => combine_block::<FMA, 5>(theta, xi, r, k, out),
+                6 => combine_block::<FMA, 6>(theta, xi, r, k, out),
+                _ => combine_block::<FMA, BLOCK>(theta, xi, r, k, out),
+            }
+            k += n;
+        }
+    }
+
+    /// Transposed Jacobian product: adds `(∂(ΘΞ)/∂z)ᵀ g` to `dz[r]`; `xi_t[r · n_term]` is Ξ transposed,
+    /// `work[n_term]` is overwritten.
+    #[inline(always)]
+    pub fn pull_back<const FMA: bool>(
+        &self,
+        z: &[Lanes],
+        xi_t: &[f32],
+        g: &[Lanes],
+        work: &mut [Lanes],
+        dz: &mut [Lanes],
+    ) {
+        let (r, m) = (self.latent, self.n_term());
+        let last = m - 1; // the row of u has no part in ∂/∂z
+        let mut p = 1;
+        while p + BLOCK <= last {
+            combine_block::<FMA, BLOCK>(&g[..r], xi_t, m, p, work);
+            p += BLOCK;
+        }
+        while p < last {
+            combine_block::<FMA, 1>(&g[..r], xi_t, m, p, work);
+            p += 1;
+        }
+        for i in 0..r {
+            for (d, w) in dz[i].0.iter_mut().zip(&work[1 + i].0) {
+                *d += w;
+            }
+        }
+        let mut p = 1 + r;
+        for i in 0..r {
+            for j in i..r {
+                let w = work[p];
+                dz[i].add_product::<FMA>(&w, &z[j]);
+                dz[j].add_product::<FMA>(&w, &z[i]);
+                p += 1;
+            }
+        }
+    }
+}
+
+/// `out[k..k+B] = Σ_p input[p] · matrix[p][k..k+B]`, sums in registers.
+#[inline(always)]
+fn combine_block<const FMA: bool, const B: usize>(
+    input: &[Lanes],
+    matrix: &[f32],
+    n: usize,
+    k: usize,
+    out: &mut [Lanes],
+) {
+    let mut sums = [Lanes::ZERO; B];
+    for (x, row) in input.iter().zip(matrix.chunks_exact(n)) {
+        if let Some(row) = row[k..].first_chunk::<B>() {
+            for b in 0..B {
+                sums[b].add_scaled::<FMA>(x, row[b]);
+            }
+        }
+    }
+    out[k..k + B].copy_from_slice(&sums);
+}
+
+/// Adds `Σ_s θ_s g_sᵀ` to `dxi[n_term · r]` for `S` evaluations at once (lanes are summed later).
+#[inline(always)]
+pub fn accumulate_outer<const FMA: bool, const S: usize>(
+    theta: [&[Lanes]; S],
+    g: [&[Lanes]; S],
+    r: usize,
+    dxi: &mut [Lanes],
+) {
+    for (p, row) in dxi.chunks_exact_mut(r).enumerate() {
+        for (k, d) in row.iter_mut().enumerate() {
+            for s in 0..S {
+                d.add_product::<FMA>(&theta[s][p], &g[s][k]);
+            }
+        }
+    }
+}
+
+/// Transposes `[rows · columns]`.
+pub fn transpose(matrix: &[f32], columns: usize) -> Vec<f32> {
+    let rows = matrix.len() / columns;
+    (0..matrix.len()).map(|i| matrix[(i % rows) * columns + i / rows]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn terms_are_named_in_the_order_they_are_computed() {
+        let library = Library { latent: 2 };
+        assert_eq!(library.names(), ["1", "z1", "z2", "z1^2", "z1 z2", "z2^2", "u"]);
+        let mut theta = vec![Lanes::ZERO; library.n_term()];
+        library.terms(&[Lanes::splat(2.0), Lanes::splat(3.0)], &Lanes::splat(5.0), &mut theta);
+        let values: Vec<f32> = theta.iter().map(|t| t.0[0]).collect();
+        assert_eq!(values, [1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 5.0]);
+    }
+
+    #[test]
+    fn every_latent_dimension_up_to_32_combines_like_a_plain_sum() {
+        for r in 1..=32 {
+            let library = Library { latent: r };
+            let m = library.n_term();
+            let xi: Vec<f32> = (0..m * r).map(|i| ((i * 37 % 101) as f32 - 50.0) / 50.0).collect();
+            let z: Vec<Lanes> = (0..r).map(|i| Lanes::splat((i as f32 * 0.7).sin())).collect();
+            let mut theta = vec![Lanes::ZERO; m];
+            library.terms(&z, &Lanes::splat(0.3), &mut theta);
+            let mut out = vec![Lanes::ZERO; r];
+            library.combine::<false>(&theta, &xi, &mut out);
+            for k in 0..r {
+                let plain: f64 = (0..m).map(|p| f64::from(theta[p].0[3]) * f64::from(xi[p * r + k])).sum();
+                assert!((f64::from(out[k].0[3]) - plain).abs() < 1e-4, "r = {r}, equation {k}");
+            }
+        }
+    }
+
+    #[test]
+    fn pull_back_matches_finite_differences_of_the_right_hand_side() {
+        for r in [1, 2, 5, 7, 14] {
+            let library = Library { latent: r };
+            let m = library.n_term();
+            let xi: Vec<f32> = (0..m * r).map(|i| ((i * 53 % 97) as f32 - 48.0) / 97.0).collect();
+            let z: Vec<f64> = (0..r).map(|i| (i as f64 * 1.3).cos()).collect();
+            let g: Vec<f64> = (0..r).map(|i| (i as f64 * 0.9 + 0.4).sin()).collect();
+            let value = |z: &[f64]| -> f64 {
+                let mut theta = vec![1.0];
+                theta.extend(z);
+                (0..r).for_each(|i| (i..r).for_each(|j| theta.push(z[i] * z[j])));
+                theta.push(0.2);
+                (0..r).map(|k| g[k] * (0..m).map(|p| theta[p] * f64::from(xi[p * r + k])).sum::<f64>()).sum()
+            };
+            let lanes = |x: &[f64]| x.iter().map(|v| Lanes::splat(*v as f32)).collect::<Vec<_>>();
+            let mut dz = vec![Lanes::ZERO; r];
+            let mut work = vec![Lanes::ZERO; m];
+            library.pull_back::<false>(&lanes(&z), &transpose(&xi, r), &lanes(&g), &mut work, &mut dz);
+            for i in 0..r {
+                let (mut up, mut down) = (z.clone(), z.clone());
+                up[i] += 1e-5;
+                down[i] -= 1e-5;
+                let slope = (value(&up) - value(&down)) / 2e-5;
+                assert!((f64::from(dz[i].0[0]) - slope).abs() < 1e-4 * (1.0 + slope.abs()), "r = {r}, z{}", i + 1);
+            }
+        }
+    }
+}

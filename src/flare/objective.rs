@@ -1,0 +1,304 @@
+//! The stage-1 loss of a batch of segments and its gradient.
+//!
+//!     L = λ_rec MSE(D(z), a) + λ_roll MSE(D(ẑ), a) + λ_lat MSE(ẑ, sg z) + λ_eq MSE(ż, Θ(z,u) Ξ) + λ_1 mean|Ξ|       (1)
+//!
+//! `z` are encoded windows, `ẑ` the rollout from the first of them, `sg` holds `z` fixed, `ż` is the central difference.
+//! A batch is cut into chunks of [`LANES`] segments whatever the number of threads, and gradients are summed in chunk
+//! order, so the bytes do not depend on the threads. Limits: samples past a divergence count as a response predicted zero.
+
+use super::adjoint::reverse;
+use super::case::Case;
+use super::integrator::{Forcing, Trajectory, rollout};
+use super::kernels::{Kernel, LANES, Lanes, dispatch};
+use super::library::{Library, accumulate_outer, transpose};
+use super::mlp::Tape;
+use super::model::Shape;
+use super::settings::LossWeights;
+use rayon::prelude::*;
+
+/// A stretch of a case: first sample (window complete there) and sign.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Segment {
+    /// Index of the case.
+    pub case: usize,
+    /// First sample, at least L − 1.
+    pub start: usize,
+    /// 1, or −1 for the mirror image.
+    pub sign: f32,
+}
+
+/// The parts of the loss before weighting: reconstruction, rollout, latent, equation, sparsity.
+pub type Terms = [f64; 5];
+
+/// What a batch is judged by.
+pub struct Objective<'a> {
+    /// Sizes of the model.
+    pub shape: &'a Shape,
+    /// All training cases.
+    pub cases: &'a [Case],
+    /// Weight of each case, mean 1.
+    pub case_weight: &'a [f32],
+    /// Weights of the terms.
+    pub weights: LossWeights,
+    /// Latent states beyond this end a rollout.
+    pub bound: f32,
+}
+
+/// Working memory of one chunk, kept between batches.
+#[derive(Default)]
+pub struct Scratch {
+    windows: Vec<f32>,
+    target: Vec<f32>,
+    encoded: Vec<f32>,
+    states: Vec<f32>, // encoded states, then rolled-out states
+    decoded: Vec<f32>,
+    d_states: Vec<f32>,
+    encoder: Tape,
+    decoder: Tape,
+    forcing: Forcing,
+    trajectory: Trajectory,
+    z: Vec<Lanes>,
+    dz: Vec<Lanes>,
+    dz_roll: Vec<Lanes>,
+    dxi: Vec<Lanes>,
+    gradient: Vec<f32>,
+    terms: Terms,
+}
+
+impl Objective<'_> {
+    /// Loss parts of `batch` (all segments `n_step` long) and the gradient of the weighted sum, overwritten.
+    pub fn evaluate(
+        &self,
+        parameters: &[f32],
+        batch: &[Segment],
+        n_step: usize,
+        scratch: &mut Vec<Scratch>,
+        gradient: &mut [f32],
+    ) -> Terms {
+        let n_chunk = batch.len().div_ceil(LANES);
+        scratch.resize_with(n_chunk.max(scratch.len()), Scratch::default);
+        scratch[..n_chunk]
+            .par_iter_mut()
+            .zip(batch.par_chunks(LANES))
+            .for_each(|(s, chunk)| self.chunk(parameters, chunk, n_step, batch.len(), s));
+        gradient.fill(0.0);
+        let mut terms = [0.0; 5];
+        for s in &scratch[..n_chunk] {
+            gradient.iter_mut().zip(&s.gradient).for_each(|(a, b)| *a += b);
+            terms.iter_mut().zip(&s.terms).for_each(|(a, b)| *a += b);
+        }
+        let xi = &parameters[self.shape.coefficient_range()];
+        let scale = (self.weights.sparsity / xi.len() as f64) as f32;
+        for (g, c) in gradient.iter_mut().zip(xi) {
+            terms[4] += f64::from(c.abs()) / xi.len() as f64;
+            *g += if *c == 0.0 { 0.0 } else { scale * c.signum() };
+        }
+        terms
+    }
+
+    /// The weighted sum of the parts.
+    pub fn total(&self, terms: &Terms) -> f64 {
+        let w = &self.weights;
+        [w.reconstruction, w.rollout, w.latent, w.equation, w.sparsity].iter().zip(terms).map(|(w, t)| w * t).sum()
+    }
+
+    fn chunk(&self, parameters: &[f32], chunk: &[Segment], n_step: usize, n_batch: usize, s: &mut Scratch) {
+        let (r, library) = (self.shape.latent, self.shape.library());
+        let (encoder, decoder) = (self.shape.encoder(), self.shape.decoder());
+        let xi = &parameters[self.shape.coefficient_range()];
+        let n = chunk.len() * n_step;
+        s.gradient.clear();
+        s.gradient.resize(parameters.len(), 0.0);
+        self.gather(chunk, n_step, s);
+
+        encoder.forward(&parameters[self.shape.encoder_range()], &s.windows, &mut s.encoder, &mut s.encoded);
+        to_lanes(&s.encoded, r, n_step, chunk.len(), &mut s.z);
+        rollout(library, xi, &s.z[..r], &s.forcing, self.bound, &mut s.trajectory);
+        s.states.resize(2 * n * r, 0.0);
+        s.states[..n * r].copy_from_slice(&s.encoded);
+        from_lanes(&s.trajectory.z, r, n_step, &mut s.states[n * r..]);
+        decoder.forward(&parameters[self.shape.decoder_range()], &s.states, &mut s.decoder, &mut s.decoded);
+
+        self.response_residuals(chunk, n_step, n_batch, s);
+        s.d_states.resize(2 * n * r, 0.0);
+        let (to_dynamics, to_networks) = s.gradient.split_at_mut(self.shape.coefficient_range().end);
+        let (to_encoder, to_decoder) = to_networks.split_at_mut(encoder.n_parameter());
+        let decoder_parameters = &parameters[self.shape.decoder_range()];
+        decoder.backward(
+            decoder_parameters,
+            &s.states,
+            &mut s.decoder,
+            &s.decoded,
+            Some(to_decoder),
+            Some(&mut s.d_states),
+        );
+
+        to_lanes(&s.d_states[..n * r], r, n_step, chunk.len(), &mut s.dz);
+        to_lanes(&s.d_states[n * r..], r, n_step, chunk.len(), &mut s.dz_roll);
+        let mut weight = Lanes::ZERO;
+        chunk.iter().enumerate().for_each(|(lane, segment)| weight.0[lane] = self.case_weight[segment.case]);
+        s.dxi.clear();
+        s.dxi.resize(library.n_coefficient(), Lanes::ZERO);
+        s.terms[2] =
+            latent_residual(r, &s.z, &s.trajectory, &weight, self.weights.latent, n_batch * n_step * r, &mut s.dz_roll);
+        let count = (n_batch * n_step.saturating_sub(2) * r).max(1);
+        s.terms[3] = dispatch(EquationResidual {
+            library,
+            xi,
+            u: &s.forcing.u,
+            z: &s.z,
+            weight: &weight,
+            inverse_count: 1.0 / count as f32,
+            factor: self.weights.equation as f32,
+            dz: &mut s.dz,
+            dxi: &mut s.dxi,
+        });
+        reverse(library, xi, &s.forcing, &s.trajectory, &mut s.dz_roll, &mut s.dxi);
+        for k in 0..r {
+            s.dz[k].0.iter_mut().zip(&s.dz_roll[k].0).for_each(|(a, b)| *a += b);
+        }
+        to_dynamics.iter_mut().zip(&s.dxi).for_each(|(g, d)| *g = d.sum());
+        from_lanes(&s.dz, r, n_step, &mut s.d_states[..n * r]);
+        let encoder_parameters = &parameters[self.shape.encoder_range()];
+        encoder.backward(encoder_parameters, &s.windows, &mut s.encoder, &s.d_states[..n * r], Some(to_encoder), None);
+    }
+
+    /// Windows, targets and forcing of the chunk, mirrored where asked for.
+    fn gather(&self, chunk: &[Segment], n_step: usize, s: &mut Scratch) {
+        let (length, channels) = (self.shape.window, self.shape.channels);
+        s.windows.clear();
+        s.target.clear();
+        s.forcing.reset(n_step);
+        for (lane, segment) in chunk.iter().enumerate() {
+            let case = &self.cases[segment.case];
+            let end = segment.start + n_step;
+            for t in segment.start..end {
+                let window = &case.dense[(t + 1 - length) * channels..(t + 1) * channels];
+                s.windows.extend(window.iter().map(|v| v * segment.sign));
+            }
+            let target = &case.dense[segment.start * channels..end * channels];
+            s.target.extend(target.iter().map(|v| v * segment.sign));
+            s.forcing.set(lane, &case.u[segment.start..end], &case.u_half[segment.start..end - 1], segment.sign);
+        }
+    }
+
+    /// Reconstruction and rollout errors; `decoded` becomes their weighted cotangent.
+    fn response_residuals(&self, chunk: &[Segment], n_step: usize, n_batch: usize, s: &mut Scratch) {
+        let channels = self.shape.channels;
+        let n = chunk.len() * n_step;
+        let count = (n_batch * n_step * channels) as f64;
+        s.terms = [0.0; 5];
+        for (half, factor) in [self.weights.reconstruction, self.weights.rollout].into_iter().enumerate() {
+            let rows = s.decoded[half * n * channels..(half + 1) * n * channels].chunks_exact_mut(channels);
+            for (row, (decoded, target)) in rows.zip(s.target.chunks_exact(channels)).enumerate() {
+                let (lane, t) = (row / n_step, row % n_step);
+                let weight = self.case_weight[chunk[lane].case];
+                let is_valid = half == 0 || t < s.trajectory.valid[lane];
+                let scale = if is_valid { (2.0 * factor * f64::from(weight) / count) as f32 } else { 0.0 };
+                s.terms[half] += f64::from(weight) * square_error(decoded, target, is_valid, scale) / count;
+            }
+        }
+    }
+}
+
+/// Sum of squared errors of one row; `decoded` becomes `scale · error`. An invalid row counts as a response of zero.
+fn square_error(decoded: &mut [f32], target: &[f32], is_valid: bool, scale: f32) -> f64 {
+    let mut sum = [0.0_f32; 8];
+    for (d, t) in decoded.chunks_mut(8).zip(target.chunks(8)) {
+        for ((s, d), t) in sum.iter_mut().zip(d).zip(t) {
+            let error = if is_valid { *d - t } else { -t };
+            *s += error * error;
+            *d = scale * error;
+        }
+    }
+    f64::from(sum.iter().sum::<f32>())
+}
+
+/// Latent error `MSE(ẑ, sg z)` over the valid samples; its cotangent is added to `dz_roll`.
+fn latent_residual(
+    r: usize,
+    z: &[Lanes],
+    rolled: &Trajectory,
+    weight: &Lanes,
+    factor: f64,
+    count: usize,
+    dz_roll: &mut [Lanes],
+) -> f64 {
+    let scale = (2.0 * factor / count as f64) as f32;
+    let mut sum = [0.0_f64; LANES];
+    for t in 0..z.len() / r {
+        for i in t * r..(t + 1) * r {
+            for lane in 0..LANES {
+                if t < rolled.valid[lane] {
+                    let error = rolled.z[i].0[lane] - z[i].0[lane];
+                    sum[lane] += f64::from(weight.0[lane] * error * error);
+                    dz_roll[i].0[lane] += scale * weight.0[lane] * error;
+                }
+            }
+        }
+    }
+    sum.iter().sum::<f64>() / count as f64
+}
+
+/// Equation error of the encoded states against the central difference; adds to `dz` and `dxi`.
+struct EquationResidual<'a> {
+    library: Library,
+    xi: &'a [f32],
+    u: &'a [Lanes],
+    z: &'a [Lanes],
+    weight: &'a Lanes,
+    inverse_count: f32,
+    factor: f32,
+    dz: &'a mut [Lanes],
+    dxi: &'a mut [Lanes],
+}
+
+impl Kernel for EquationResidual<'_> {
+    type Out = f64;
+    #[inline(always)]
+    fn run<const FMA: bool>(self) -> f64 {
+        let (r, m) = (self.library.latent, self.library.n_term());
+        let xi_t = transpose(self.xi, r);
+        let mut theta = vec![Lanes::ZERO; m];
+        let mut work = vec![Lanes::ZERO; m];
+        let mut g = vec![Lanes::ZERO; r];
+        let mut total = 0.0;
+        for t in 1..self.u.len().saturating_sub(1) {
+            let z = &self.z[t * r..(t + 1) * r];
+            self.library.terms(z, &self.u[t], &mut theta);
+            self.library.combine::<FMA>(&theta, self.xi, &mut g);
+            let mut sum = Lanes::ZERO;
+            for k in 0..r {
+                g[k].add_scaled::<FMA>(&self.z[(t + 1) * r + k], -0.5);
+                g[k].add_scaled::<FMA>(&self.z[(t - 1) * r + k], 0.5);
+                let weighted = Lanes::product(&g[k], self.weight);
+                sum.add_product::<FMA>(&g[k], &weighted);
+                g[k] = Lanes::ZERO;
+                g[k].add_scaled::<FMA>(&weighted, 2.0 * self.factor * self.inverse_count);
+                self.dz[(t + 1) * r + k].add_scaled::<FMA>(&g[k], -0.5);
+                self.dz[(t - 1) * r + k].add_scaled::<FMA>(&g[k], 0.5);
+            }
+            self.library.pull_back::<FMA>(z, &xi_t, &g, &mut work, &mut self.dz[t * r..(t + 1) * r]);
+            accumulate_outer::<FMA, 1>([&theta], [&g], r, self.dxi);
+            total += f64::from(sum.sum());
+        }
+        total * f64::from(self.inverse_count)
+    }
+}
+
+/// Rows `[lane][t][r]` to lanes `[t][r]`; unused lanes are zero.
+pub fn to_lanes(rows: &[f32], r: usize, n_step: usize, n_lane: usize, lanes: &mut Vec<Lanes>) {
+    lanes.clear();
+    lanes.resize(n_step * r, Lanes::ZERO);
+    for lane in 0..n_lane {
+        let series = &rows[lane * n_step * r..(lane + 1) * n_step * r];
+        lanes.iter_mut().zip(series).for_each(|(to, from)| to.0[lane] = *from);
+    }
+}
+
+/// Lanes `[t][r]` to rows `[lane][t][r]`, as many lanes as `rows` has room for.
+pub fn from_lanes(lanes: &[Lanes], r: usize, n_step: usize, rows: &mut [f32]) {
+    for (lane, series) in rows.chunks_exact_mut(n_step * r).enumerate() {
+        series.iter_mut().zip(lanes).for_each(|(to, from)| *to = from.0[lane]);
+    }
+}

@@ -1,0 +1,320 @@
+//! The three training sections of a site manifest, with their defaults and range checks.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Stage 1: the source model from dense simulations (`[pretrain]`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct PretrainSettings {
+    /// Samples in the encoder's window, L.
+    pub window: usize,
+    /// Latent dimension, r (1…32).
+    pub latent: usize,
+    /// Dense channels kept, evenly spaced over the elements.
+    pub channels: usize,
+    /// Sampling interval of the model (s).
+    pub step_s: f64,
+    /// Sequences each training motion is divided into.
+    pub segments: usize,
+    /// Sequences each motion is divided into in the second half of the epochs (longer rollouts).
+    pub final_segments: usize,
+    /// Widths of the encoder's hidden layers.
+    pub encoder_hidden: Vec<usize>,
+    /// Widths of the decoder's hidden layers.
+    pub decoder_hidden: Vec<usize>,
+    /// Passes over the training sequences.
+    pub epochs: usize,
+    /// Sequences per step of the optimiser.
+    pub batch: usize,
+    /// Learning rate of encoder and decoder at the start.
+    pub learning_rate: f64,
+    /// Learning rate of the coefficients at the start (coefficients are per sample).
+    pub dynamics_learning_rate: f64,
+    /// Share of the learning rates left at the last epoch (half a cosine; 1 keeps them constant).
+    pub final_rate_share: f64,
+    /// Weights of the five loss terms.
+    pub loss: LossWeights,
+    /// Coefficients below this (per sample) are removed for good at each thresholding.
+    pub threshold: f64,
+    /// Epochs between thresholdings, each of which restarts the optimiser; 0 for none. The last quarter has none.
+    pub threshold_every: usize,
+    /// Each case counts with its response amplitude to the power −2 × this: 0 as published, 1 all motions alike.
+    pub amplitude_weighting: f64,
+    /// Start encoder, dynamics and decoder from the best linear state-space model, with straight linear paths.
+    pub linear_start: bool,
+    /// Half of the sequences, drawn anew each epoch, are turned over in sign (the column knows no left and right).
+    pub mirror: bool,
+    /// Sequences begin at places drawn anew each epoch.
+    pub jitter: bool,
+    /// Epochs between validations by whole-motion rollout.
+    pub validate_every: usize,
+    /// Validations between checkpoints of the training state.
+    pub checkpoint_every: usize,
+    /// Latent states beyond this count as diverged.
+    pub state_bound: f64,
+    /// A candidate must also survive the validation motions multiplied by this.
+    pub stress_factor: f64,
+}
+
+impl Default for PretrainSettings {
+    fn default() -> Self {
+        Self {
+            window: 3,
+            latent: 8,
+            channels: 100,
+            step_s: 0.05,
+            segments: 5,
+            final_segments: 2,
+            encoder_hidden: vec![128, 128],
+            decoder_hidden: vec![128, 128],
+            epochs: 500,
+            batch: 32,
+            learning_rate: 1e-3,
+            dynamics_learning_rate: 1e-3,
+            final_rate_share: 0.01,
+            loss: LossWeights::default(),
+            threshold: 1e-3,
+            threshold_every: 100,
+            amplitude_weighting: 1.0,
+            linear_start: true,
+            mirror: true,
+            jitter: true,
+            validate_every: 5,
+            checkpoint_every: 5,
+            state_bound: 1e3,
+            stress_factor: 2.0,
+        }
+    }
+}
+
+impl PretrainSettings {
+    /// The same sizes trained exactly as published: no linear start, no weighting, no mirroring, constant rates.
+    #[must_use]
+    pub fn as_published(&self) -> Self {
+        Self {
+            final_segments: self.segments,
+            dynamics_learning_rate: self.learning_rate,
+            final_rate_share: 1.0,
+            amplitude_weighting: 0.0,
+            linear_start: false,
+            mirror: false,
+            jitter: false,
+            ..self.clone()
+        }
+    }
+
+    /// Every value out of range, with its key.
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut list = Problems::default();
+        list.count("window", self.window, 1, 100);
+        list.count("latent", self.latent, 1, 32);
+        list.count("channels", self.channels, 1, 10_000);
+        list.real("step_s", self.step_s, "s", 1e-4, 10.0);
+        list.count("segments", self.segments, 1, 1000);
+        list.count("final_segments", self.final_segments, 1, 1000);
+        list.widths("encoder_hidden", &self.encoder_hidden);
+        list.widths("decoder_hidden", &self.decoder_hidden);
+        list.count("epochs", self.epochs, 1, 1_000_000);
+        list.count("batch", self.batch, 1, 100_000);
+        list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
+        list.real("dynamics_learning_rate", self.dynamics_learning_rate, "", 0.0, 1.0);
+        list.real("final_rate_share", self.final_rate_share, "", 0.0, 1.0);
+        list.real("threshold", self.threshold, "1/sample", 0.0, 10.0);
+        list.real("amplitude_weighting", self.amplitude_weighting, "", 0.0, 1.0);
+        list.count("validate_every", self.validate_every, 1, 1_000_000);
+        list.count("checkpoint_every", self.checkpoint_every, 1, 1_000_000);
+        list.real("state_bound", self.state_bound, "", 1.0, 1e12);
+        list.real("stress_factor", self.stress_factor, "", 1.0, 100.0);
+        for (key, value) in [
+            ("loss.reconstruction", self.loss.reconstruction),
+            ("loss.rollout", self.loss.rollout),
+            ("loss.latent", self.loss.latent),
+            ("loss.equation", self.loss.equation),
+            ("loss.sparsity", self.loss.sparsity),
+        ] {
+            list.real(key, value, "", 0.0, 1e6);
+        }
+        list.0
+    }
+}
+
+/// Weights of the stage-1 loss terms (`[pretrain.loss]`).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct LossWeights {
+    /// λ_rec, decoded encoded state against the response.
+    pub reconstruction: f64,
+    /// λ_roll, decoded rollout against the response.
+    pub rollout: f64,
+    /// λ_lat, rollout against the encoded state (held fixed).
+    pub latent: f64,
+    /// λ_eq, central difference of the encoded state against Θ Ξ.
+    pub equation: f64,
+    /// λ_1, mean absolute coefficient.
+    pub sparsity: f64,
+}
+
+impl Default for LossWeights {
+    fn default() -> Self {
+        Self { reconstruction: 0.5, rollout: 1.0, latent: 0.1, equation: 0.01, sparsity: 1e-4 }
+    }
+}
+
+/// Stage 2: the sparse encoder by latent matching (`[distill]`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DistillSettings {
+    /// Samples in the sparse encoder's window, L.
+    pub window: usize,
+    /// Widths of its hidden layers.
+    pub hidden: Vec<usize>,
+    /// Passes over the training windows.
+    pub epochs: usize,
+    /// Windows per step of the optimiser.
+    pub batch: usize,
+    /// Learning rate at the start.
+    pub learning_rate: f64,
+    /// Share of it left at the last epoch.
+    pub final_rate_share: f64,
+    /// As in `[pretrain]`.
+    pub amplitude_weighting: f64,
+    /// As in `[pretrain]`.
+    pub mirror: bool,
+    /// Add a straight linear path, started from linear least squares.
+    pub linear_start: bool,
+}
+
+impl Default for DistillSettings {
+    fn default() -> Self {
+        Self {
+            window: 3,
+            hidden: vec![128, 128],
+            epochs: 150,
+            batch: 512,
+            learning_rate: 2e-3,
+            final_rate_share: 0.01,
+            amplitude_weighting: 1.0,
+            mirror: true,
+            linear_start: true,
+        }
+    }
+}
+
+impl DistillSettings {
+    /// Every value out of range, with its key.
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut list = Problems::default();
+        list.count("window", self.window, 1, 100);
+        list.widths("hidden", &self.hidden);
+        list.count("epochs", self.epochs, 1, 1_000_000);
+        list.count("batch", self.batch, 1, 1_000_000);
+        list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
+        list.real("final_rate_share", self.final_rate_share, "", 0.0, 1.0);
+        list.real("amplitude_weighting", self.amplitude_weighting, "", 0.0, 1.0);
+        list.0
+    }
+}
+
+/// Stage 3: the correction of the coefficients by records (`[calibrate]`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct CalibrateSettings {
+    /// Passes over the training events.
+    pub epochs: usize,
+    /// Learning rate of the coefficients at the start (coefficients are per sample).
+    pub learning_rate: f64,
+    /// Share of it left at the last epoch.
+    pub final_rate_share: f64,
+    /// λ_Δ, weight of the relative size of the correction.
+    pub penalty: f64,
+    /// Calibrated coefficients below this (per sample) are removed for good at each thresholding.
+    pub threshold: f64,
+    /// Epochs between thresholdings, each of which restarts the optimiser; 0 for none. The last quarter has none.
+    pub threshold_every: usize,
+    /// Each event counts with its response amplitude to the power −2 × this: 0 as published, 1 all events alike.
+    pub amplitude_weighting: f64,
+    /// Epochs between validations by complete rollout.
+    pub validate_every: usize,
+    /// Latent states beyond this count as diverged.
+    pub state_bound: f64,
+}
+
+impl Default for CalibrateSettings {
+    fn default() -> Self {
+        Self {
+            epochs: 600,
+            learning_rate: 5e-4,
+            final_rate_share: 0.02,
+            penalty: 0.01,
+            threshold: 1e-3,
+            threshold_every: 200,
+            amplitude_weighting: 0.5,
+            validate_every: 5,
+            state_bound: 1e3,
+        }
+    }
+}
+
+impl CalibrateSettings {
+    /// Every value out of range, with its key.
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut list = Problems::default();
+        list.count("epochs", self.epochs, 1, 1_000_000);
+        list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
+        list.real("final_rate_share", self.final_rate_share, "", 0.0, 1.0);
+        list.real("penalty", self.penalty, "", 0.0, 1e6);
+        list.real("threshold", self.threshold, "1/sample", 0.0, 10.0);
+        list.real("amplitude_weighting", self.amplitude_weighting, "", 0.0, 1.0);
+        list.count("validate_every", self.validate_every, 1, 1_000_000);
+        list.real("state_bound", self.state_bound, "", 1.0, 1e12);
+        list.0
+    }
+}
+
+#[derive(Default)]
+struct Problems(Vec<(String, String)>);
+
+impl Problems {
+    fn real(&mut self, key: &str, value: f64, unit: &str, low: f64, high: f64) {
+        if !(low..=high).contains(&value) {
+            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+            self.0.push((key.to_string(), format!("must be in {low}…{high}{unit}, got {value}")));
+        }
+    }
+
+    fn count(&mut self, key: &str, value: usize, low: usize, high: usize) {
+        if !(low..=high).contains(&value) {
+            self.0.push((key.to_string(), format!("must be in {low}…{high}, got {value}")));
+        }
+    }
+
+    fn widths(&mut self, key: &str, widths: &[usize]) {
+        if let Some(width) = widths.iter().find(|w| !(1..=4096).contains(*w)) {
+            self.0.push((key.to_string(), format!("each width must be in 1…4096, got {width}")));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn defaults_are_in_range_and_all_problems_are_listed_at_once() {
+        assert!(PretrainSettings::default().problems().is_empty());
+        assert!(DistillSettings::default().problems().is_empty());
+        assert!(CalibrateSettings::default().problems().is_empty());
+        let wrong = PretrainSettings { latent: 40, step_s: -0.05, encoder_hidden: vec![0], ..Default::default() };
+        let keys: Vec<String> = wrong.problems().into_iter().map(|(key, _)| key).collect();
+        assert_eq!(keys, ["latent", "step_s", "encoder_hidden"]);
+    }
+
+    #[test]
+    fn a_short_section_takes_the_rest_from_the_defaults_and_unknown_keys_are_refused() {
+        let settings: PretrainSettings = toml::from_str("latent = 14\nloss = { equation = 0.0 }").expect("parses");
+        assert_eq!(settings.latent, 14);
+        assert_eq!(settings.loss.rollout, 1.0);
+        assert!(toml::from_str::<PretrainSettings>("latnet = 14").is_err());
+    }
+}

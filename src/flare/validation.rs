@@ -1,0 +1,83 @@
+//! How a candidate source model is judged: by rolling whole validation motions out, never by segments.
+//!
+//!     score = rollout + 0.25 reconstruction + 0.05 latent    (mean squared errors, weighted as in training)        (1)
+//!
+//! A candidate that diverges on any validation motion, or on one multiplied by the stress factor, scores infinity.
+
+use super::case::Case;
+use super::model::SourceModel;
+use super::rollout::{Start, roll_out};
+
+/// Errors of a candidate over whole motions.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Score {
+    /// Mean squared error of the decoded rollout.
+    pub rollout: f64,
+    /// Mean squared error of the decoded encoded states.
+    pub reconstruction: f64,
+    /// Mean squared distance of rolled-out from encoded states.
+    pub latent: f64,
+    /// Median over cases of the median over channels of the NRMSE of the rollout (%).
+    pub nrmse_percent: f64,
+    /// What is selected on, eq. (1).
+    pub score: f64,
+}
+
+/// Judges `model` on `cases`, with the weight of each case in the means.
+pub fn judge(model: &SourceModel, cases: &[Case], weight: &[f32], stress_factor: f64, bound: f64) -> Score {
+    let t0 = model.shape.window - 1;
+    let (r, channels) = (model.shape.latent, model.shape.channels);
+    let encoded: Vec<Vec<f32>> = cases.iter().map(|c| model.encode(&c.dense)).collect();
+    let starts: Vec<Start<'_>> = cases
+        .iter()
+        .zip(&encoded)
+        .map(|(c, z)| Start { z0: &z[..r], u: &c.u[t0..], u_half: &c.u_half[t0..] })
+        .collect();
+    let roll =
+        |factor: f64| roll_out(model.shape.library(), model.coefficients(), &starts, factor as f32, bound as f32);
+    let rolled = roll(1.0);
+    let stressed = if stress_factor > 1.0 { roll(stress_factor) } else { Vec::new() };
+    let ends = rolled.iter().zip(&starts).chain(stressed.iter().zip(&starts));
+    let is_bounded = ends.into_iter().all(|((_, valid), start)| *valid == start.u.len());
+
+    let (mut sums, mut medians) = ([0.0; 3], Vec::new());
+    for (((case, z), (z_roll, _)), weight) in cases.iter().zip(&encoded).zip(&rolled).zip(weight) {
+        let target = &case.dense[t0 * channels..];
+        let response = model.decode(z_roll);
+        let weight = f64::from(*weight) / cases.len() as f64;
+        sums[0] += weight * mean_square_error(&response, target);
+        sums[1] += weight * mean_square_error(&model.decode(z), target);
+        sums[2] += weight * mean_square_error(z_roll, z);
+        medians.push(median(&mut nrmse_percent(&response, target, channels)));
+    }
+    let [rollout, reconstruction, latent] = sums;
+    let score = rollout + 0.25 * reconstruction + 0.05 * latent; // (1)
+    let score = if is_bounded && score.is_finite() { score } else { f64::INFINITY };
+    Score { rollout, reconstruction, latent, nrmse_percent: median(&mut medians), score }
+}
+
+/// Mean squared difference.
+pub fn mean_square_error(a: &[f32], b: &[f32]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / b.len().max(1) as f64
+}
+
+/// Root-mean-square error of each channel over the root mean square of its target (%).
+pub fn nrmse_percent(response: &[f32], target: &[f32], n: usize) -> Vec<f64> {
+    let (mut error, mut power) = (vec![0.0; n], vec![0.0; n]);
+    for (response, target) in response.chunks_exact(n).zip(target.chunks_exact(n)) {
+        for j in 0..n {
+            error[j] += f64::from(response[j] - target[j]).powi(2);
+            power[j] += f64::from(target[j]).powi(2);
+        }
+    }
+    error.iter().zip(&power).map(|(e, p)| 100.0 * (e / p.max(f64::MIN_POSITIVE)).sqrt()).collect()
+}
+
+/// Median; not a number for an empty list.
+pub fn median(values: &mut [f64]) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => f64::NAN,
+        n => 0.5 * (values[(n - 1) / 2] + values[n / 2]),
+    }
+}
