@@ -32,7 +32,7 @@ pub(super) fn legend(keys: &[Key]) -> Markup {
             @for key in keys {
                 li {
                     svg viewBox="0 0 26 10" width="26" height="10" aria-hidden="true" {
-                        path d="M1 5H25" stroke=(key.color) stroke-width="2.6" stroke-dasharray=[key.dash];
+                        path d="M1 5H25" stroke=(key.color) stroke-width="2.6" stroke-dasharray=[key.dash] {}
                     }
                     (key.name)
                 }
