@@ -100,18 +100,25 @@ fn layout(frame: &Frame) -> Layout {
 
 /// Plain numbers where they are short, powers of ten beyond.
 fn log_ticks(range: (f64, f64)) -> TickFormat {
-    let plain = range.0 >= 0.009 && range.1 <= 2e4;
-    TickFormat::Custom(Arc::new(
-        move |v| if plain { format!("{}", (v * 1e6).round() / 1e6) } else { number::power_of_ten(v) },
-    ))
+    let plain = range.0 >= 0.0009 && range.1 <= 2e4 && range.1 / range.0 < 3e3;
+    TickFormat::Custom(Arc::new(move |v| if plain { number::plain(v) } else { number::power_of_ten(v) }))
 }
 
 fn draw(plots: Vec<Plot>, layout: Layout, alt: &str) -> Markup {
     PreEscaped(svg::write(&render_multiple(plots, layout), alt))
 }
 
-/// Curves over a common frame, thinned to its width and cut at its upper and lower edge; `at` marks a value of x.
-pub(super) fn curves(frame: &Frame, curves: &[Curve], at: Option<f64>) -> Markup {
+/// What a figure of curves points out along x.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Marks {
+    /// One value, as a dashed line.
+    pub at: Option<f64>,
+    /// A span, shaded.
+    pub span: Option<(f64, f64)>,
+}
+
+/// Curves over a common frame, thinned to its width and cut at its upper and lower edge.
+pub(super) fn curves(frame: &Frame, curves: &[Curve], marks: Marks) -> Markup {
     let inside = |v: f64, (low, high): (f64, f64)| v >= low && v <= high;
     let mut plots = Vec::new();
     for curve in curves {
@@ -130,8 +137,11 @@ pub(super) fn curves(frame: &Frame, curves: &[Curve], at: Option<f64>) -> Markup
         }
     }
     let mut layout = layout(frame);
-    if let Some(x) = at.filter(|x| inside(*x, frame.x.range)) {
+    if let Some(x) = marks.at.filter(|x| inside(*x, frame.x.range)) {
         layout = layout.with_reference_line(ReferenceLine::vertical(x).with_color("#5f6670").with_dasharray("3 3"));
+    }
+    if let Some((from, to)) = marks.span {
+        layout = layout.with_shaded_region(ShadedRegion::vertical(from, to).with_color("#5b7f95").with_opacity(0.13));
     }
     draw(plots, layout, &frame.alt)
 }

@@ -4,7 +4,8 @@ use maud::{Markup, html};
 
 use super::content::{Content, Distill};
 use super::figure::{Section, figure, legend, model_keys};
-use super::{losses, number, pretrain, traces};
+use super::traces::{self, Look};
+use super::{losses, number, pretrain};
 
 /// The section, if stage 2 has run.
 pub(super) fn section(content: &Content) -> Option<Section> {
@@ -41,13 +42,17 @@ fn case(stage: &Distill) -> Markup {
         stage.traces.iter().any(|t| t.fe.is_some()),
         stage.traces.iter().any(|t| t.flare_t.is_some()),
     );
-    let periods = traces::period_range(&stage.traces);
+    let look = Look {
+        about: format!("for case {}", stage.case),
+        strong_s: traces::strong_part(&stage.traces),
+        periods_s: traces::period_range(&stage.traces),
+    };
     html! {
         (legend(&keys))
         figure {
-            @for trace in &stage.traces { (traces::row(trace, &format!("for case {}", stage.case), &html! {}, periods)) }
+            @for trace in &stage.traces { (traces::row(trace, &look, &html! {})) }
             figcaption { "Validation case " (stage.case) ": response at the sensors, finite elements (the target here) and "
-                "reconstruction; right, 5 % damped pseudo-acceleration spectra." }
+                "reconstruction, the shaded part enlarged, and 5 % damped pseudo-acceleration spectra." }
         }
     }
 }

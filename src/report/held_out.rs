@@ -5,7 +5,8 @@ use maud::{Markup, html};
 use super::chart::{self, Axis, Column, Frame};
 use super::content::{Content, Pair, Prediction};
 use super::figure::{Section, figure, legend, listed, model_keys};
-use super::{number, traces};
+use super::number;
+use super::traces::{self, Look};
 
 /// The section, if there are predictions.
 pub(super) fn section(content: &Content) -> Option<Section> {
@@ -25,7 +26,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
         }
     };
     let entries = content.held_out.iter().enumerate().map(|(i, p)| (anchor(i), title(p))).collect();
-    Some(Section { id: "held-out", title: "Held-out events".into(), entries, body })
+    Some(Section { id: "held-out", title: "Held-out events in detail".into(), entries, body })
 }
 
 fn event(prediction: &Prediction, content: &Content) -> Markup {
@@ -35,19 +36,23 @@ fn event(prediction: &Prediction, content: &Content) -> Markup {
         all.iter().any(|t| t.fe.is_some()),
         all.iter().any(|t| t.flare_t.is_some()),
     );
-    let about = format!("in {} {}", prediction.event, prediction.component);
-    let periods = traces::period_range(content.held_out.iter().flat_map(|p| &p.traces));
+    let look = Look {
+        about: format!("in {} {}", prediction.event, prediction.component),
+        strong_s: traces::strong_part(all),
+        periods_s: traces::period_range(content.held_out.iter().flat_map(|p| &p.traces)),
+    };
     let cut: Vec<String> = all.iter().filter(|t| traces::is_cut(t)).map(|t| t.sensor.clone()).collect();
     html! {
         @if !all.is_empty() {
             (legend(&keys))
             figure {
                 @for trace in all {
-                    (traces::row(trace, &about, &errors(content, prediction, &trace.sensor), periods))
+                    (traces::row(trace, &look, &errors(content, prediction, &trace.sensor)))
                 }
                 figcaption {
-                    "Left: acceleration histories. Right: 5 % damped pseudo-acceleration spectra. "
-                    "Phase and amplitude of the strong part, and the height of the spectral peak, are what to compare."
+                    "Acceleration histories"
+                    @if look.strong_s.is_some() { ", the shaded part enlarged below," }
+                    " and 5 % damped pseudo-acceleration spectra. Phase and amplitude of the strong part, and the height of the spectral peak, are what to compare."
                     @if !cut.is_empty() {
                         " " b { "At " (listed(&cut)) " a prediction leaves the figure or stops being a finite number." }
                     }

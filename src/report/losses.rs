@@ -2,7 +2,7 @@
 
 use maud::{Markup, html};
 
-use super::chart::{self, Axis, Curve, Frame};
+use super::chart::{self, Axis, Curve, Frame, Marks};
 use super::content::Losses;
 use super::figure::{Key, figure, legend};
 use super::number;
@@ -42,10 +42,10 @@ pub(super) fn losses(losses: Option<&Losses>, of: &str) -> Markup {
     let caption = html! {
         "Loss terms of " (of) ", logarithmic axis."
         @if let Some(at) = losses.selected_at {
-            " The dashed vertical line marks the state that was kept (" (losses.counter) " " (number::fixed(at, 0)) ")."
+            " The dashed vertical line marks the state that was kept (" (counter.to_lowercase()) " " (number::fixed(at, 0)) ")."
         }
     };
-    html! { (legend(&keys)) (figure(&chart::curves(&frame, &curves, losses.selected_at), &caption)) }
+    html! { (legend(&keys)) (figure(&chart::curves(&frame, &curves, Marks { at: losses.selected_at, span: None }), &caption)) }
 }
 
 /// A range of whole decades, or of thirds of them where the values span less than one.

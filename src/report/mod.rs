@@ -38,8 +38,8 @@ pub fn render(content: &Content) -> Result<String> {
     check::lengths(content)?;
     let sections = [
         summary::section(content),
-        held_out::section(content),
         scores::section(content),
+        held_out::section(content),
         pretrain::section(content),
         distill::section(content),
         calibrate::section(content),

@@ -3,7 +3,7 @@
 use kuva::plot::scatter::MarkerShape;
 use maud::{Markup, html};
 
-use super::chart::{self, Axis, Curve, Dots, Frame};
+use super::chart::{self, Axis, Curve, Dots, Frame, Marks};
 use super::content::{Content, Motions, Series};
 use super::figure::{Section, figure};
 use super::number;
@@ -12,8 +12,8 @@ use super::number;
 pub(super) fn section(content: &Content) -> Option<Section> {
     let motions = content.motions.as_ref()?;
     let body = html! {
-        p { (motions.cases.len()) " synthetic base motions of " (number::significant(motions.duration_s)) " s at "
-            (number::significant(motions.step_s)) " s." }
+        p { (motions.cases.len()) " synthetic base motions of " (number::plain(motions.duration_s)) " s at "
+            (number::plain(motions.step_s)) " s." }
         @if !motions.cases.is_empty() { (peaks(motions)) }
         @if !motions.examples.is_empty() { (examples(motions)) }
     };
@@ -67,7 +67,7 @@ fn examples(motions: &Motions) -> Markup {
             alt: format!("Base motion {label}, peak {} m/s²", number::significant(top)),
         };
         let points = series.values.iter().enumerate().map(|(i, v)| (time(i), *v)).collect();
-        chart::curves(&frame, &[Curve { points, color: chart::RECORD, width: 0.9, dash: None }], None)
+        chart::curves(&frame, &[Curve { points, color: chart::RECORD, width: 0.9, dash: None }], Marks::default())
     };
     let pictures = html! { @for (label, series) in &motions.examples { p.panel { (label) } (picture(label, series)) } };
     figure(&pictures, &html! { "Examples of base motions: acceleration over time." })

@@ -27,6 +27,16 @@ pub(super) fn significant(value: f64) -> String {
     fixed(value, (2 - size.log10().floor() as i32).clamp(0, 5) as usize)
 }
 
+/// A length or a step as one would say it: at most four significant figures, no trailing zeros (`6`, `0.005`, `11.25`).
+pub(super) fn plain(value: f64) -> String {
+    let size = value.abs();
+    if !value.is_finite() || size == 0.0 || !(1e-6..1e7).contains(&size) {
+        return significant(value);
+    }
+    let text = fixed(value, (3 - size.log10().floor() as i32).clamp(0, 9) as usize);
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').into() } else { text }
+}
+
 /// An optional measure with `digits` decimals, a dash if there is none.
 pub(super) fn optional(value: Option<f64>, digits: usize) -> String {
     value.map_or_else(|| "–".into(), |v| fixed(v, digits))
@@ -61,10 +71,12 @@ pub(super) fn median(values: impl IntoIterator<Item = f64>) -> Option<f64> {
     }
 }
 
-/// A power of ten as a tick label: `10⁻³`.
+/// A tick of a logarithmic axis as a power of ten: `10⁻³`, `2×10⁻³`.
 pub(super) fn power_of_ten(value: f64) -> String {
-    let exponent = value.log10().round() as i32;
-    format!("10{}", superscript(exponent))
+    let exponent = (value.log10() + 1e-9).floor();
+    let factor = (value / 10f64.powf(exponent)).round();
+    let power = format!("10{}", superscript(exponent as i32));
+    if factor == 1.0 { power } else { format!("{factor}×{power}") }
 }
 
 fn superscript(exponent: i32) -> String {
@@ -87,6 +99,12 @@ mod tests {
         assert_eq!(significant(0.0), "0");
         assert_eq!(fixed(-0.0001, 2), "0.00");
         assert_eq!(fixed(f64::NAN, 2), "–");
+    }
+
+    #[test]
+    fn plain_numbers_and_ticks_carry_no_needless_digits() {
+        assert_eq!([plain(6.0), plain(0.005), plain(11.25), plain(120.0)], ["6", "0.005", "11.25", "120"]);
+        assert_eq!([power_of_ten(1e-3), power_of_ten(5e-4)], ["10⁻³", "5×10⁻⁴"]);
     }
 
     #[test]

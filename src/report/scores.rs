@@ -39,7 +39,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
             }
         }
     };
-    Some(Section { id: "scores", title: "All errors".into(), entries: Vec::new(), body })
+    Some(Section { id: "scores", title: "Errors on held-out events".into(), entries: Vec::new(), body })
 }
 
 fn row(score: &Score, new_event: bool) -> Markup {

@@ -7,7 +7,7 @@ use maud::{Markup, html};
 
 use super::chart::{self, Axis, Curve, Dots, Frame};
 use super::content::{Content, Pair, Score};
-use super::figure::{Section, figure, listed};
+use super::figure::{Section, listed};
 use super::number;
 use super::scores::{compare, median_pair};
 
@@ -162,12 +162,14 @@ fn scatter(scores: &[Score]) -> Markup {
     };
     let equal = Curve { points: vec![(0.0, 0.0), (top, top)], color: "#5f6670", width: 1.0, dash: Some("4 3") };
     let caption = html! {
-        "One mark for each event, component and sensor. Below the dashed line FLARE-T is closer to the record. "
-        @for (i, sensor) in sensors.iter().enumerate() {
-            span.mark style={ "color:" (color(i)) } { (SIGNS[i % SIGNS.len()]) } " " (sensor) " "
+        "One mark for each event, component and sensor. Below the dashed line FLARE-T is closer to the record, above it FE."
+        ul {
+            @for (i, sensor) in sensors.iter().enumerate() {
+                li { span.mark style={ "color:" (color(i)) } { (SIGNS[i % SIGNS.len()]) } " " (sensor) }
+            }
         }
     };
-    figure(&chart::dots(&frame, &clouds, &[equal]), &caption)
+    html! { figure.aside { div.picture { (chart::dots(&frame, &clouds, &[equal])) } figcaption { (caption) } } }
 }
 
 #[cfg(test)]

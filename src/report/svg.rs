@@ -44,7 +44,7 @@ fn primitive(out: &mut String, element: &Primitive) {
         Primitive::Rect { x, y, width, height, fill, opacity, .. } => {
             let mut path = Path::default();
             path.rectangle(*x, *y, *width, *height);
-            fill_path(out, &path.d, fill, *opacity, false);
+            fill_path(out, &path.d, fill, *opacity);
         }
         Primitive::RectBatch { x, y, w, h, fills } => cells(out, x, y, w, h, fills),
         Primitive::Path(data) => {
@@ -80,27 +80,38 @@ fn primitive(out: &mut String, element: &Primitive) {
     }
 }
 
-/// Heat-map cells: neighbours of one colour in a row become one rectangle, and all rectangles of a colour one path.
+/// Heat-map cells: neighbours of one colour in a row (or in a column, whichever makes fewer pieces) become one rectangle,
+/// and all rectangles of a colour one path. Cells overlap by the half pixel kuva gives them, so that no seam shows.
 fn cells(out: &mut String, x: &[f64], y: &[f64], w: &[f64], h: &[f64], fills: &[Color]) {
-    let mut by_color: Vec<(String, Path)> = Vec::new();
-    let mut start = 0;
-    for end in 1..=fills.len() {
-        let color = fills[start].to_svg_string();
-        let goes_on =
-            end < fills.len() && y[end] == y[start] && x[end] > x[end - 1] && fills[end].to_svg_string() == color;
-        if goes_on {
-            continue;
-        }
+    let colors: Vec<String> = fills.iter().map(Color::to_svg_string).collect();
+    let rows: Vec<usize> = (0..fills.len()).collect();
+    let mut columns = rows.clone();
+    columns.sort_by(|a, b| x[*a].total_cmp(&x[*b]).then(y[*a].total_cmp(&y[*b])));
+    let (by_row, by_column) = (runs(&rows, y, &colors), runs(&columns, x, &colors));
+    let runs = if by_column.len() < by_row.len() { by_column } else { by_row };
+    let mut by_color: Vec<(&str, Path)> = Vec::new();
+    for run in runs {
+        let color = colors[run[0]].as_str();
         let slot = by_color.iter().position(|(known, _)| *known == color).unwrap_or_else(|| {
             by_color.push((color, Path::default()));
             by_color.len() - 1
         });
-        by_color[slot].1.rectangle(x[start], y[start], x[end - 1] + w[end - 1] - x[start], h[start]);
-        start = end;
+        let low = |v: &[f64]| run.iter().map(|i| v[*i]).fold(f64::INFINITY, f64::min);
+        let high = |v: &[f64], size: &[f64]| run.iter().map(|i| v[*i] + size[*i]).fold(f64::NEG_INFINITY, f64::max);
+        let (left, top) = (low(x), low(y));
+        by_color[slot].1.rectangle(left, top, high(x, w) - left, high(y, h) - top);
     }
     for (color, path) in &by_color {
-        fill_path(out, &path.d, &Color::from(color.as_str()), None, true);
+        // The page is white: cells of that colour need no ink.
+        if *color != "#ffffff" {
+            fill_path(out, &path.d, &Color::from(*color), None);
+        }
     }
+}
+
+/// Cuts `order` where the colour changes or a new line (another value of `line`) begins.
+fn runs<'a>(order: &'a [usize], line: &[f64], colors: &[String]) -> Vec<&'a [usize]> {
+    order.chunk_by(|a, b| line[*a] == line[*b] && colors[*a] == colors[*b]).collect()
 }
 
 fn dots(out: &mut String, cx: &[f64], cy: &[f64], r: f64, fill: &Color, opacity: Option<f64>) {
@@ -135,14 +146,14 @@ fn stroke_path(out: &mut String, d: &str, stroke: &Color, width: f64, dash: Opti
     out.push_str("/>");
 }
 
-fn fill_path(out: &mut String, d: &str, fill: &Color, opacity: Option<f64>, crisp: bool) {
+fn fill_path(out: &mut String, d: &str, fill: &Color, opacity: Option<f64>) {
     let _ = write!(out, r#"<path d="{d}" fill=""#);
     fill.write_svg(out);
     out.push('"');
     if let Some(opacity) = opacity {
         let _ = write!(out, r#" fill-opacity="{opacity}""#);
     }
-    out.push_str(if crisp { r#" shape-rendering="crispEdges"/>"# } else { "/>" });
+    out.push_str("/>");
 }
 
 /// Path data in tenths of a pixel; steps are differences of rounded positions, so that rounding never adds up.
@@ -241,19 +252,26 @@ mod tests {
     }
 
     #[test]
-    fn cells_of_one_colour_merge_within_a_row() {
-        let mut out = String::new();
-        let red = || Color::from("#ff0000");
-        cells(
-            &mut out,
-            &[0.0, 1.0, 2.0, 0.0],
-            &[0.0, 0.0, 0.0, 1.0],
-            &[1.0; 4],
-            &[1.0; 4],
-            &[red(), red(), Color::from("#0000ff"), red()],
-        );
-        assert_eq!(out.matches("<path").count(), 2);
-        assert!(out.contains("M0 0h2v1h-2zM0 1h1v1h-1z"), "{out}");
+    fn cells_of_one_colour_merge_along_the_better_direction_and_white_is_left_out() {
+        let (red, blue, white) = (Color::from("#ff0000"), Color::from("#0000ff"), Color::from("#ffffff"));
+        let draw = |fills: [&Color; 6]| {
+            let mut out = String::new();
+            let fills = fills.map(Clone::clone);
+            cells(
+                &mut out,
+                &[0.0, 1.0, 2.0, 0.0, 1.0, 2.0],
+                &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
+                &[1.0; 6],
+                &[1.0; 6],
+                &fills,
+            );
+            out
+        };
+        let rows = draw([&red, &red, &red, &blue, &blue, &white]);
+        assert!(rows.contains("M0 0h3v1h-3z") && rows.contains("M0 1h2v1h-2z"), "{rows}");
+        assert_eq!(rows.matches("<path").count(), 2);
+        let columns = draw([&red, &blue, &red, &red, &blue, &red]);
+        assert!(columns.contains("M0 0h1v2h-1zM2 0h1v2h-1z") && columns.contains("M1 0h1v2h-1z"), "{columns}");
     }
 
     #[test]

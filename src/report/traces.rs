@@ -1,28 +1,70 @@
-//! Histories and spectra of one sensor, side by side; used for stage 2 and for the held-out events.
+//! Histories and spectra of one sensor; used for stage 2 and for the held-out events.
 
 use maud::{Markup, html};
 
-use super::chart::{self, Axis, Curve, Frame};
+use super::chart::{self, Axis, Curve, Frame, Marks};
 use super::content::{Series, Spectrum, Trace};
 use super::number;
 
-/// The row of one sensor: heading with errors, history, spectrum.
-pub(super) fn row(trace: &Trace, about: &str, note: &Markup, periods_s: (f64, f64)) -> Markup {
+/// What the rows of one figure share.
+pub(super) struct Look {
+    /// Where the traces come from, for the description: "in LSST07 EW".
+    pub about: String,
+    /// The strong part, shown enlarged, s; `None` if the histories are short.
+    pub strong_s: Option<(f64, f64)>,
+    /// Periods of the spectra, s.
+    pub periods_s: (f64, f64),
+}
+
+/// The rows of one sensor: heading with errors, history, strong part beside the spectrum.
+pub(super) fn row(trace: &Trace, look: &Look, note: &Markup) -> Markup {
+    let spectrum = trace.spectrum.as_ref().map(|spectrum| spectra(spectrum, trace, look));
     html! {
         div.sensor {
             h5 {
                 (trace.sensor)
                 @if let Some(depth) = trace.depth_m {
-                    " " span.soft { @if depth == 0.0 { "surface" } @else { (number::significant(depth)) " m deep" } }
+                    " " span.soft { @if depth == 0.0 { "surface" } @else { (number::plain(depth)) " m deep" } }
                 }
                 (note)
             }
-            div.pair {
-                div.picture { (history(trace, about)) }
-                @if let Some(spectrum) = &trace.spectrum { div.picture { (spectra(spectrum, trace, about, periods_s)) } }
+            @if let Some(strong) = look.strong_s {
+                div.picture { (history(trace, look, None, (1000.0, 180.0))) }
+                div.pair {
+                    div.picture { (history(trace, look, Some(strong), (600.0, 200.0))) }
+                    @if let Some(picture) = spectrum { div.picture { (picture) } }
+                }
+            } @else {
+                div.pair {
+                    div.picture { (history(trace, look, None, (600.0, 200.0))) }
+                    @if let Some(picture) = spectrum { div.picture { (picture) } }
+                }
             }
         }
     }
+}
+
+/// The ten seconds that hold most of the energy of the last sensor (the uppermost as sensors are listed from below), if
+/// the history is at least twice as long.
+pub(super) fn strong_part(traces: &[Trace]) -> Option<(f64, f64)> {
+    const LENGTH_S: f64 = 10.0;
+    let series = traces.iter().rev().find_map(|t| t.record.as_ref().or(t.fe.as_ref()))?;
+    let n = (LENGTH_S / series.step_s).round() as usize;
+    if n == 0 || series.values.len() < 2 * n {
+        return None;
+    }
+    let energy = |i: usize| if series.values[i].is_finite() { series.values[i].powi(2) } else { 0.0 };
+    let mut sum: f64 = (0..n).map(energy).sum();
+    let (mut best, mut start) = (sum, 0);
+    for i in n..series.values.len() {
+        sum += energy(i) - energy(i - n);
+        if sum > best {
+            (best, start) = (sum, i + 1 - n);
+        }
+    }
+    // Whole seconds read better on the axis.
+    let from = (series.start_s + start as f64 * series.step_s).floor().max(series.start_s);
+    Some((from, from + LENGTH_S))
 }
 
 /// Record, FE and FLARE-T in the order they are drawn, thick to thin.
@@ -51,7 +93,7 @@ pub(super) fn is_cut(trace: &Trace) -> bool {
     series.into_iter().flatten().any(|s| broken(&s))
 }
 
-fn history(trace: &Trace, about: &str) -> Markup {
+fn history(trace: &Trace, look: &Look, part_s: Option<(f64, f64)>, size: (f64, f64)) -> Markup {
     let series = of_models([trace.record.as_ref(), trace.fe.as_ref(), trace.flare_t.as_ref()]);
     let end = |s: &Series| s.start_s + s.step_s * s.values.len().saturating_sub(1) as f64;
     let first = series.iter().map(|(s, ..)| s.start_s).fold(f64::INFINITY, f64::min);
@@ -70,16 +112,23 @@ fn history(trace: &Trace, about: &str) -> Markup {
         })
         .collect();
     let peaks: Vec<String> = series.iter().map(|(s, ..)| number::significant(peak(s))).collect();
+    let marks = Marks { at: None, span: if part_s.is_none() { look.strong_s } else { None } };
     let frame = Frame {
-        size: (760.0, 210.0),
-        x: Axis { label: "Time (s)", range: (first, last), log: false },
-        y: Axis { label: "Acceleration (m/s²)", range: (-top, top), log: false },
-        alt: format!("Acceleration histories at {} {about}; peaks {} m/s²", trace.sensor, peaks.join(", ")),
+        size,
+        x: Axis { label: "Time (s)", range: part_s.unwrap_or((first, last)), log: false },
+        y: Axis { label: "Acc. (m/s²)", range: (-top, top), log: false },
+        alt: format!(
+            "Acceleration histories at {} {}{}; peaks {} m/s²",
+            trace.sensor,
+            look.about,
+            if part_s.is_some() { ", strong part" } else { "" },
+            peaks.join(", ")
+        ),
     };
-    chart::curves(&frame, &curves, None)
+    chart::curves(&frame, &curves, marks)
 }
 
-fn spectra(spectrum: &Spectrum, trace: &Trace, about: &str, periods_s: (f64, f64)) -> Markup {
+fn spectra(spectrum: &Spectrum, trace: &Trace, look: &Look) -> Markup {
     let lists = [&spectrum.record_m_s2, &spectrum.fe_m_s2, &spectrum.flare_t_m_s2];
     let some = lists.map(|list| (!list.is_empty()).then_some(list.as_slice()));
     let finite_top = |list: &[f64]| list.iter().copied().filter(|v| v.is_finite()).fold(0.0, f64::max);
@@ -96,12 +145,12 @@ fn spectra(spectrum: &Spectrum, trace: &Trace, about: &str, periods_s: (f64, f64
         })
         .collect();
     let frame = Frame {
-        size: (420.0, 210.0),
-        x: Axis { label: "Period (s)", range: periods_s, log: true },
+        size: (400.0, 200.0),
+        x: Axis { label: "Period (s)", range: look.periods_s, log: true },
         y: Axis { label: "5 % PSA (m/s²)", range: (0.0, if top > 0.0 { top * 1.07 } else { 1.0 }), log: false },
-        alt: format!("5 % damped pseudo-acceleration spectra at {} {about}", trace.sensor),
+        alt: format!("5 % damped pseudo-acceleration spectra at {} {}", trace.sensor, look.about),
     };
-    chart::curves(&frame, &curves, None)
+    chart::curves(&frame, &curves, Marks::default())
 }
 
 /// The common range of periods of a set of traces, 0.1 to 5 s if there are none.
