@@ -1,1 +1,50 @@
 //! Figures and the self-contained HTML report.
+//!
+//! [`render`] turns plain data ([`content::Content`]) into one HTML document that loads nothing from elsewhere: style and
+//! figures (inline SVG) are inside, there is no script. The same content gives the same bytes. Text is escaped throughout.
+//!
+//! One file a section (`summary`, `motions`, `pretrain`, `distill`, `calibrate`, `held_out`, `scores`, `provenance`), all
+//! drawn with the few kinds of figure in `chart`; `page` puts them together.
+
+mod calibrate;
+mod chart;
+mod check;
+pub mod content;
+mod distill;
+mod figure;
+mod held_out;
+mod losses;
+mod motions;
+mod number;
+mod page;
+mod pretrain;
+mod provenance;
+mod scores;
+mod summary;
+mod svg;
+mod thin;
+mod traces;
+
+pub use content::Content;
+
+use crate::Result;
+
+/// The report as one HTML document.
+///
+/// # Errors
+/// If arrays that belong together differ in length (a field and its depths, two coefficient matrices, a spectrum and its
+/// periods) or a time step is not positive; the message names the place.
+pub fn render(content: &Content) -> Result<String> {
+    check::lengths(content)?;
+    let sections = [
+        summary::section(content),
+        scores::section(content),
+        held_out::section(content),
+        pretrain::section(content),
+        distill::section(content),
+        calibrate::section(content),
+        motions::section(content),
+        provenance::section(content),
+    ];
+    Ok(page::page(content, sections.into_iter().flatten().collect()).into_string())
+}
