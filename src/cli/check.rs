@@ -2,9 +2,9 @@
 
 use super::SiteArguments;
 use super::workspace::Workspace;
+use crate::column::Column;
 use crate::error::Result;
 use crate::manifest::Manifest;
-use crate::soil;
 
 /// Checks the manifest and says, where it is right, what it declares.
 ///
@@ -24,8 +24,10 @@ pub fn check(arguments: &SiteArguments) -> Result<()> {
         site.motions.count,
         site.records.as_ref().map_or(0, |r| r.events().count()),
     );
-    for line in soil::describe(&manifest.site.profile()?)? {
-        eprintln!("  {line}");
+    let column = Column::new(&site.column().profile()?, &site.analysis)?;
+    eprintln!("  fundamental frequency at small strain: {:.2} Hz", column.fundamental_frequency_hz());
+    for remark in column.remarks() {
+        eprintln!("  {:6.2} m: {}", remark.depth_m, remark.remark);
     }
     Ok(())
 }

@@ -120,6 +120,11 @@ impl Column {
         self.elements.iter().map(|e| e.centre_m).collect()
     }
 
+    /// Depth of the base, m.
+    pub fn depth_m(&self) -> f64 {
+        self.elements.iter().map(|e| e.height_m).sum()
+    }
+
     /// What the laws remark of their layers, surface down.
     pub fn remarks(&self) -> &[LayerRemark] {
         &self.remarks

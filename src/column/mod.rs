@@ -8,11 +8,9 @@ mod dynamics;
 mod failure;
 mod mesh;
 mod profile;
-mod sensors;
 
 pub use analysis::Analysis;
 pub use dynamics::{Frame, RunSummary};
 pub use failure::{Cause, Failure};
 pub use mesh::{Column, LayerRemark};
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
-pub use sensors::{Row, interpolation};

@@ -7,6 +7,7 @@ mod message;
 mod normalisation;
 mod observation;
 mod reader;
+mod sampler;
 mod writer;
 
 pub use coarse::{Coarse, pick_channels};
@@ -14,4 +15,5 @@ pub use index::{Index, IndexCase, IndexSensor, Outcome};
 pub use normalisation::{Accumulator, Normalisation};
 pub use observation::{Observation, observation_matrix};
 pub use reader::{Trajectory, read_trajectory};
+pub use sampler::{Sampler, sensor_histories};
 pub use writer::{Header, Sample, TrajectoryWriter};

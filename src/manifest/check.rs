@@ -2,7 +2,7 @@
 
 use super::{Problem, Site, SiteSection};
 use crate::registry;
-use crate::{column, effects, records, soil};
+use crate::{column, effects, soil};
 use std::collections::BTreeMap;
 
 /// Every problem that needs more than one section, and the sections' own range checks.
@@ -11,13 +11,13 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
     profile_ranges(&site.site, problems);
     laws(site, problems);
     sensors(site, problems);
-    split(site, problems);
     let sections = [
         ("motions", site.motions.problems()),
         ("analysis", site.analysis.problems()),
         ("pretrain", site.pretrain.problems()),
         ("distill", site.distill.problems()),
         ("calibrate", site.calibrate.problems()),
+        ("records", site.records.as_ref().map(|r| r.problems()).unwrap_or_default()),
     ];
     for (section, found) in sections {
         problems.extend(found.into_iter().map(|(key, what)| Problem::new(format!("{section}.{key}"), what)));
@@ -35,7 +35,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         }
     }
     if problems.is_empty()
-        && let Err(error) = site.profile().and_then(|p| column::Column::new(&p, &site.analysis).map(|_| ()))
+        && let Err(error) = site.column().profile().and_then(|p| column::Column::new(&p, &site.analysis).map(|_| ()))
     {
         problems.push(from_error("site".into(), &error));
     }
@@ -104,6 +104,7 @@ fn laws(site: &Site, problems: &mut Vec<Problem>) {
             Some(_) => {}
         }
     }
+    let column = site.column();
     for (i, layer) in site.site.layer.iter().enumerate() {
         let place = format!("site.layer[{i}]");
         match site.law.get(&layer.law) {
@@ -112,7 +113,7 @@ fn laws(site: &Site, problems: &mut Vec<Problem>) {
                     .hint(registry::known(&names, &layer.law)),
             ),
             Some(_) => {
-                if let Ok((kind, table)) = site.layer_law(layer)
+                if let Ok((kind, table)) = column.layer_law(layer)
                     && let Ok(entry) = registry::find("soil law", soil::LAWS, &kind)
                     && let Err(error) = (entry.build)(table)
                 {
@@ -135,41 +136,6 @@ fn sensors(site: &Site, problems: &mut Vec<Problem>) {
         if !(0.0..site.site.depth_m).contains(&sensor.depth_m) {
             let what = format!("`depth_m` must lie in 0…{} m, above the base, got {}", site.site.depth_m, sensor.depth_m);
             problems.push(Problem::new(format!("sensors.output[{i}].depth_m"), what));
-        }
-    }
-}
-
-fn split(site: &Site, problems: &mut Vec<Problem>) {
-    let Some(section) = &site.records else { return };
-    if section.format == "twin" {
-        if section.truth.is_none() {
-            let problem = Problem::new("records.truth", "twin records need `records.truth`");
-            problems.push(problem.hint("name a truth file: `truth = \"truth/lotung.toml\"`"));
-        }
-    } else {
-        let names: Vec<&str> = records::FORMATS.iter().map(|e| e.name).chain(["twin"]).collect();
-        if !names.contains(&section.format.as_str()) {
-            let problem = Problem::new("records.format", format!("unknown record format `{}`", section.format));
-            problems.push(problem.hint(registry::known(&names, &section.format)));
-        }
-        if section.dir.is_none() {
-            problems.push(Problem::new("records.dir", "records in files need `records.dir`"));
-        }
-    }
-    if section.components.is_empty() {
-        problems.push(Problem::new("records.components", "there is no component").hint("for example `components = [\"NS\", \"EW\"]`"));
-    }
-    let mut seen: BTreeMap<&str, &str> = BTreeMap::new();
-    for (list, events) in [("train", &section.train), ("validation", &section.validation), ("test", &section.test)] {
-        if events.is_empty() {
-            problems.push(Problem::new(format!("records.{list}"), format!("`{list}` names no event")));
-        }
-        for (i, event) in events.iter().enumerate() {
-            if let Some(other) = seen.insert(event, list) {
-                let what = format!("event `{event}` stands in `{other}` and in `{list}`");
-                let problem = Problem::new(format!("records.{list}[{i}]"), what);
-                problems.push(problem.hint("each event belongs to one list, or the test would not be held out"));
-            }
         }
     }
 }

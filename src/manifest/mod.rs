@@ -11,7 +11,7 @@ mod sections;
 
 pub use document::{Document, Problem};
 pub use schema::schema;
-pub use sections::{LayerSection, OutputSection, RecordsSection, SensorsSection, Site, SiteSection, Tolerances};
+pub use sections::{ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, Tolerances};
 
 use crate::error::{Context, Error, Result};
 use std::path::{Path, PathBuf};
@@ -65,11 +65,18 @@ impl Manifest {
         }
     }
 
-    /// The manifest with every default filled in, as the table that stages read their parameters from.
+    /// The manifest with every default filled in and its outside paths resolved: the table that stages read their
+    /// parameters from.
     ///
     /// # Errors
     /// When a section cannot be written as TOML.
     pub fn canonical(&self) -> Result<toml::Table> {
-        toml::Table::try_from(&self.site).map_err(|e| Error::new("cannot write the manifest as TOML").cause(e))
+        let mut site = self.site.clone();
+        if let Some(records) = &mut site.records {
+            let text = |path: &PathBuf| path.canonicalize().unwrap_or_else(|_| path.clone()).display().to_string();
+            records.dir = self.records_dir.as_ref().map(text);
+            records.truth = self.truth.as_ref().map(text);
+        }
+        toml::Table::try_from(&site).map_err(|e| Error::new("cannot write the manifest as TOML").cause(e))
     }
 }

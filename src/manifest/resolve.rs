@@ -1,11 +1,11 @@
 //! From the sections to what the domain works with: the profile of the column.
 
-use super::{LayerSection, Site};
+use super::{ColumnSections, LayerSection};
 use crate::column::{Layer, Profile};
 use crate::effects;
 use crate::error::{Error, Result};
 
-impl Site {
+impl ColumnSections {
     /// Law kind and parameters of `layer`: the table under `[law]` with the layer's own keys laid over it.
     ///
     /// # Errors

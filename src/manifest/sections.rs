@@ -4,7 +4,7 @@ use super::Problem;
 use crate::column::{Analysis, Rayleigh, Vertical};
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings};
 use crate::motion::MotionSettings;
-use crate::units::AccelerationUnit;
+use crate::records::RecordSettings;
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -34,7 +34,7 @@ pub struct Site {
     pub tolerances: Tolerances,
     /// Measured (or twin) records and their split.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub records: Option<RecordsSection>,
+    pub records: Option<RecordSettings>,
     /// Synthetic base motions.
     pub motions: MotionSettings,
     /// Time stepping of the column.
@@ -52,6 +52,36 @@ pub struct Site {
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
     pub effects: Vec<toml::Table>,
+}
+
+/// The sections that make a column and its sensors: what a stage that runs columns reads.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ColumnSections {
+    /// `[site]`
+    pub site: SiteSection,
+    /// `[law]`
+    pub law: BTreeMap<String, toml::Table>,
+    /// `[[effects]]`
+    #[serde(default)]
+    pub effects: Vec<toml::Table>,
+    /// `[sensors]`
+    pub sensors: SensorsSection,
+    /// `[analysis]`
+    #[serde(default)]
+    pub analysis: Analysis,
+}
+
+impl Site {
+    /// The sections that make the column.
+    pub fn column(&self) -> ColumnSections {
+        ColumnSections {
+            site: self.site.clone(),
+            law: self.law.clone(),
+            effects: self.effects.clone(),
+            sensors: self.sensors.clone(),
+            analysis: self.analysis.clone(),
+        }
+    }
 }
 
 fn default_pipeline() -> String {
@@ -122,6 +152,18 @@ pub struct SensorsSection {
     pub output: Vec<OutputSection>,
 }
 
+impl SensorsSection {
+    /// Names of the output sensors.
+    pub fn names(&self) -> Vec<String> {
+        self.output.iter().map(|s| s.name.clone()).collect()
+    }
+
+    /// Depths of the output sensors, m.
+    pub fn depths_m(&self) -> Vec<f64> {
+        self.output.iter().map(|s| s.depth_m).collect()
+    }
+}
+
 /// One output sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -154,42 +196,6 @@ impl Default for Tolerances {
     }
 }
 
-/// Measured (or twin) records and their split by event.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
-pub struct RecordsSection {
-    /// A name printed by `flare-pipe list formats`, or `twin`.
-    pub format: String,
-    /// Folder of the files, relative to the manifest.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub dir: Option<String>,
-    /// Truth file of twin records, relative to the manifest.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub truth: Option<String>,
-    /// Unit of the accelerations in the files.
-    #[serde(default = "default_unit")]
-    pub unit: AccelerationUnit,
-    /// Horizontal components, calibrated separately.
-    pub components: Vec<String>,
-    /// Events that calibrate the latent coefficients.
-    pub train: Vec<String>,
-    /// Events that select the model.
-    pub validation: Vec<String>,
-    /// Events kept for the final test.
-    pub test: Vec<String>,
-}
-
-fn default_unit() -> AccelerationUnit {
-    AccelerationUnit::MetrePerSecondSquared
-}
-
-impl RecordsSection {
-    /// All events, in the order calibration, validation, test.
-    pub fn events(&self) -> impl Iterator<Item = &String> {
-        self.train.iter().chain(&self.validation).chain(&self.test)
-    }
-}
-
 /// Builds the typed sections; `None` when a section whose structure looked right cannot be read.
 ///
 /// With problems already found, the keys they name are taken out first, so that the remaining sections are still
@@ -209,6 +215,7 @@ pub fn build(table: &toml::Table, problems: &mut Vec<Problem>) -> Option<Site> {
     ranges::<PretrainSettings>(table, "pretrain", problems, PretrainSettings::problems);
     ranges::<DistillSettings>(table, "distill", problems, DistillSettings::problems);
     ranges::<CalibrateSettings>(table, "calibrate", problems, CalibrateSettings::problems);
+    ranges::<RecordSettings>(table, "records", problems, RecordSettings::problems);
     if let Some(site) = section::<SiteSection>(table, "site") {
         super::check::profile_ranges(&site, problems);
     }

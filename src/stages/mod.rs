@@ -12,8 +12,6 @@ mod replay;
 mod report;
 mod simulate;
 
-pub mod predict;
-
 pub use evaluate::Evaluation;
 
 use crate::pipeline::Stage;

@@ -10,5 +10,5 @@ mod simulate;
 mod truth;
 
 pub use draw::{Draw, SensorDraw};
-pub use simulate::{Event, events, record_event};
-pub use truth::{EventSection, Noise, Truth};
+pub use simulate::{Recorder, record_event, recorder};
+pub use truth::{EventSection, Truth};

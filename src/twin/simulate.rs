@@ -3,19 +3,20 @@
 use super::observe::{Channels, observe};
 use super::{Draw, Truth};
 use crate::column::Column;
+use crate::dataset::sensor_histories;
 use crate::effects;
 use crate::error::{Error, Result};
-use crate::manifest::Site;
-use crate::motion::{self, Band, MotionSettings};
+use crate::manifest::{ColumnSections, Tolerances};
+use crate::motion::{self, MotionSettings};
 use crate::numerics::resample;
-use crate::records::Record;
+use crate::records::{Record, Sensor, add_noise};
 
 /// Sampling of twin records, s.
 const STEP_S: f64 = 0.01;
 
 /// The truth of one site, ready to record events.
-pub struct Event<'a> {
-    site: &'a Site,
+pub struct Recorder<'a> {
+    site: &'a ColumnSections,
     truth: &'a Truth,
     draw: Draw,
     column: Column,
@@ -25,7 +26,11 @@ pub struct Event<'a> {
 ///
 /// # Errors
 /// When the truth names an unknown law or effect, or the column cannot be built.
-pub fn events<'a>(site: &'a Site, truth: &'a Truth) -> Result<Event<'a>> {
+pub fn recorder<'a>(
+    site: &'a ColumnSections,
+    tolerances: &Tolerances,
+    truth: &'a Truth,
+) -> Result<Recorder<'a>> {
     let mut site_of_truth = site.clone();
     for (name, parameters) in &truth.law {
         let law = site_of_truth.law.get_mut(name).ok_or_else(|| {
@@ -37,7 +42,7 @@ pub fn events<'a>(site: &'a Site, truth: &'a Truth) -> Result<Event<'a>> {
         law.extend(parameters.clone());
     }
     let mut profile = site_of_truth.declared_profile()?;
-    let draw = Draw::new(&site.tolerances, profile.layers.len(), site.sensors.output.len() + 1, truth.seed);
+    let draw = Draw::new(tolerances, profile.layers.len(), site.sensors.output.len() + 1, truth.seed);
     draw.apply(&mut profile);
     effects::apply(&truth.effects, &mut profile)?;
     profile.elements *= truth.mesh_factor;
@@ -45,15 +50,15 @@ pub fn events<'a>(site: &'a Site, truth: &'a Truth) -> Result<Event<'a>> {
     analysis.max_step_s = truth.max_step_s;
     analysis.initial_step_s = analysis.initial_step_s.min(truth.max_step_s);
     let column = Column::new(&profile, &analysis).map_err(|e| e.at("the truth column"))?;
-    Ok(Event { site, truth, draw, column })
+    Ok(Recorder { site, truth, draw, column })
 }
 
 /// Records of event `name`, one for each of `components` in the order given.
 ///
 /// # Errors
 /// When the truth does not have the event or component, or the truth column does not finish.
-pub fn record_event(events: &Event<'_>, name: &str, components: &[String]) -> Result<Vec<Record>> {
-    let Event { site, truth, draw, column } = events;
+pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) -> Result<Vec<Record>> {
+    let Recorder { site, truth, draw, column } = recorder;
     let section = truth.event.iter().find(|e| e.name == name).ok_or_else(|| {
         let known: Vec<&str> = truth.event.iter().map(|e| e.name.as_str()).collect();
         Error::new(format!("the truth has no event `{name}`")).hint(crate::registry::known(&known, name)).usage()
@@ -64,35 +69,32 @@ pub fn record_event(events: &Event<'_>, name: &str, components: &[String]) -> Re
             Error::new(format!("event `{name}` of the truth has no `pga_g.{component}`")).usage()
         })?;
         let settings = MotionSettings {
-            count: 1,
             seed: event_seed(truth.seed, name, component),
             duration_s: section.duration_s,
-            bands: vec![Band { count: 1, min_pga_g: pga_g, max_pga_g: pga_g }],
-            train: String::new(),
-            validation: String::new(),
-            ..site.motions.clone()
+            ..truth.motions(pga_g)
         };
         let motion = motion::suite(&settings)?.remove(0);
-        let depths: Vec<f64> = site.sensors.output.iter().map(|s| s.depth_m).collect();
-        let histories = column.sensors(&motion, &depths).map_err(|e| e.at(format!("event `{name}`, component `{component}`")))?;
+        let depths = site.sensors.depths_m();
+        let histories = sensor_histories(column, motion.dt_s, &motion.acceleration_m_s2, &depths).map_err(|e| e.at(format!("event `{name}`, component `{component}`")))?;
         for (sensor, history) in motions.iter_mut().zip(histories) {
             sensor.push(resample::resample_band_limited(&history, site.analysis.output_step_s, STEP_S));
         }
     }
-    let recorded = observe(&motions, STEP_S, draw, &truth.noise, truth.seed, name)?;
-    Ok(components
-        .iter()
-        .enumerate()
-        .map(|(c, component)| Record {
+    let observed = observe(&motions, STEP_S, draw);
+    let names = site.sensors.names();
+    let records = components.iter().enumerate().map(|(c, component)| {
+        let sensor = |s: usize, name: &str| Sensor { name: name.to_string(), acceleration_m_s2: observed[s][c].clone() };
+        let mut record = Record {
             event: name.to_string(),
             component: component.clone(),
             dt_s: STEP_S,
-            input_m_s2: recorded[0][c].clone(),
-            outputs_m_s2: recorded[1..].iter().map(|channels| channels[c].clone()).collect(),
-            input_sensor: site.sensors.input.clone(),
-            output_sensors: site.sensors.output.iter().map(|s| s.name.clone()).collect(),
-        })
-        .collect())
+            input: sensor(0, &site.sensors.input),
+            outputs: names.iter().enumerate().map(|(s, name)| sensor(s + 1, name)).collect(),
+        };
+        add_noise(&mut record, &truth.noise, truth.seed);
+        record
+    });
+    Ok(records.collect())
 }
 
 fn event_seed(seed: u64, event: &str, component: &str) -> u64 {

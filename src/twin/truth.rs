@@ -2,6 +2,8 @@
 
 use crate::effects;
 use crate::error::{Context, Error, Result};
+use crate::motion::{Band, MotionSettings};
+use crate::records::Noise;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -24,9 +26,12 @@ pub struct Truth {
     /// Largest time step of the truth column, s.
     #[serde(default = "default_max_step")]
     pub max_step_s: f64,
-    /// Sensor noise.
+    /// Sensor noise, on the input sensor too.
     #[serde(default)]
     pub noise: Noise,
+    /// Range of the dominant frequency of the event motions, Hz.
+    #[serde(default = "default_dominant")]
+    pub dominant_hz: [f64; 2],
     /// Law parameters that differ from the declared ones, by law name.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, serde_json::Map<String, serde_json::Value>>")]
@@ -43,24 +48,12 @@ fn default_mesh_factor() -> usize {
     2
 }
 
+fn default_dominant() -> [f64; 2] {
+    [1.0, 5.0]
+}
+
 fn default_max_step() -> f64 {
     0.0025
-}
-
-/// White sensor noise as a fraction of each channel's RMS over the event.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Noise {
-    /// Output sensors.
-    pub output_fraction: f64,
-    /// Input sensor.
-    pub input_fraction: f64,
-}
-
-impl Default for Noise {
-    fn default() -> Self {
-        Self { output_fraction: 0.03, input_fraction: 0.03 }
-    }
 }
 
 /// One event: peak base acceleration by component, and how long it lasts.
@@ -88,6 +81,23 @@ impl Truth {
         Ok(truth)
     }
 
+    /// Settings of one event motion of peak `pga_g`; seed and duration are the event's own.
+    pub(super) fn motions(&self, pga_g: f64) -> MotionSettings {
+        MotionSettings {
+            count: 1,
+            seed: self.seed,
+            duration_s: 1.0,
+            step_s: 0.005,
+            bands: vec![Band { count: 1, min_pga_g: pga_g, max_pga_g: pga_g }],
+            train: "1".into(),
+            validation: "1".into(),
+            low_hz: 0.3,
+            high_hz: 9.0,
+            dominant_hz: self.dominant_hz,
+            strong_share: [0.25, 0.5],
+        }
+    }
+
     fn check(&self) -> Result<()> {
         let range = |name: &str, value: f64, lowest: f64, highest: f64, unit: &str| {
             if (lowest..=highest).contains(&value) {
@@ -97,8 +107,9 @@ impl Truth {
         };
         range("mesh_factor", self.mesh_factor as f64, 1.0, 8.0, "")?;
         range("max_step_s", self.max_step_s, 1e-4, 0.005, " s")?;
-        range("noise.output_fraction", self.noise.output_fraction, 0.0, 1.0, "")?;
-        range("noise.input_fraction", self.noise.input_fraction, 0.0, 1.0, "")?;
+        if let Some((_, what)) = self.noise.problems().into_iter().next() {
+            return Err(Error::new(what).usage());
+        }
         for event in &self.event {
             let place = |e: Error| e.at(format!("event `{}`", event.name));
             range("duration_s", event.duration_s, 1.0, 600.0, " s").map_err(place)?;

@@ -1,0 +1,57 @@
+//! What a running column says at the depths of sensors.
+
+use super::observation::{Observation, observation_matrix};
+use crate::column::{Column, Frame};
+use crate::error::{Error, Result};
+
+/// Reads sensors from frames: the surface node above, the base below, element centres between, linear in depth.
+pub struct Sampler {
+    rows: Vec<Observation>,
+    values: Vec<f64>,
+}
+
+impl Sampler {
+    /// A sampler of `column` at `sensor_depth_m`.
+    pub fn new(column: &Column, sensor_depth_m: &[f64]) -> Self {
+        let mut depths = vec![0.0];
+        depths.extend(column.channel_depths_m());
+        depths.push(column.depth_m());
+        Self { rows: observation_matrix(&depths, sensor_depth_m), values: vec![0.0; depths.len()] }
+    }
+
+    /// Accelerations of the sensors at one frame into `readings_m_s2`, m/s².
+    pub fn read(&mut self, frame: &Frame<'_>, readings_m_s2: &mut [f64]) {
+        let last = self.values.len() - 1;
+        self.values[0] = frame.surface_m_s2;
+        self.values[1..last].copy_from_slice(frame.elements_m_s2);
+        self.values[last] = frame.base_m_s2;
+        for (reading, row) in readings_m_s2.iter_mut().zip(&self.rows) {
+            *reading = row.of(&self.values);
+        }
+    }
+}
+
+/// Histories at the base and at `sensor_depth_m`, base first, m/s², one value an output step, under a base motion.
+///
+/// # Errors
+/// When the column cannot finish the motion.
+pub fn sensor_histories(
+    column: &Column,
+    base_dt_s: f64,
+    base_m_s2: &[f64],
+    sensor_depth_m: &[f64],
+) -> Result<Vec<Vec<f64>>> {
+    let mut sampler = Sampler::new(column, sensor_depth_m);
+    let mut readings = vec![0.0; sensor_depth_m.len()];
+    let mut histories = vec![Vec::new(); sensor_depth_m.len() + 1];
+    let run = column.run(base_dt_s, base_m_s2, &mut |frame| {
+        sampler.read(frame, &mut readings);
+        histories[0].push(frame.base_m_s2);
+        for (history, reading) in histories[1..].iter_mut().zip(&readings) {
+            history.push(*reading);
+        }
+        Ok(())
+    });
+    run.map_err(|failure| Error::new(failure.to_string()))?;
+    Ok(histories)
+}

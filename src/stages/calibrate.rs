@@ -1,0 +1,61 @@
+//! Stage 3: the latent coefficients of one component from its measured events.
+
+use super::{dataset, records};
+use crate::dataset::{Coarse, Normalisation};
+use crate::error::{Error, Result};
+use crate::flare::{CalibrateSettings, Event, SourceModel, SparseEncoder, calibrate};
+use crate::manifest::SensorsSection;
+use crate::pipeline::{Stage, Task};
+use crate::records::{Record, RecordSettings, Split};
+
+/// Calibrates one component.
+pub struct Calibrate;
+
+impl Stage for Calibrate {
+    fn kind(&self) -> &'static str {
+        "calibrate"
+    }
+
+    fn about(&self) -> &'static str {
+        "stage 3: latent coefficients from a few measured events, one component at a time"
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn reads(&self) -> &'static [&'static str] {
+        &["calibrate", "sensors", "records.format", "records.components", "records.train", "records.validation",
+          "records.test"]
+    }
+
+    fn run(&self, task: &Task<'_>) -> Result<()> {
+        let settings: CalibrateSettings = task.section("calibrate")?;
+        let record_settings: RecordSettings = task.section("records")?;
+        let sensors: SensorsSection = task.section("sensors")?;
+        let component = task.each().ok_or_else(|| Error::new("calibration needs `each = \"records.components\"`"))?;
+        let card = dataset::card(task.input("dataset")?)?;
+        let (model, _) = SourceModel::load(task.input("pretrain")?)?;
+        let (encoder, observation) = SparseEncoder::load(task.input("distill")?)?;
+        let found = records::read(task.input("records")?, &record_settings, &sensors)?;
+        let events = |split| -> Vec<Event> {
+            found.select(component, split).map(|r| event(r, card.step_s, &card.normalisation)).collect()
+        };
+        let (train, validation) = (events(Split::Train), events(Split::Validation));
+        let calibration =
+            calibrate(&model, &encoder, &observation, &train, &validation, &settings, task.progress())?;
+        calibration.save(task.output_dir(), &model.shape)?;
+        calibration.history.save(&task.output_dir().join("history.csv"))
+    }
+}
+
+/// A record as the latent model sees it.
+pub fn event(record: &Record, step_s: f64, normalisation: &Normalisation) -> Event {
+    let coarse = Coarse::of_record(record, step_s);
+    Event {
+        id: record.event.clone(),
+        u: normalisation.base(&coarse.base_m_s2),
+        u_half: normalisation.base(&coarse.base_half_m_s2),
+        sparse: normalisation.sparse(&coarse.sparse_m_s2),
+    }
+}

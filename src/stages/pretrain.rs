@@ -1,0 +1,75 @@
+//! Stage 1: encoder, latent equations and decoder from the dense simulations.
+
+use super::artifact::{read_json, write_json};
+use super::dataset;
+use crate::error::Result;
+use crate::flare::{Case, PretrainSettings, SourceModel, pretrain};
+use crate::metrics::nrmse_percent;
+use crate::pipeline::{Stage, Task};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// Trains the source model.
+pub struct Pretrain;
+
+/// Errors of the rollout of one validation motion.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct ValidationCase {
+    /// Case number as text.
+    pub case: String,
+    /// NRMSE at each dense channel over the whole motion after the first window, %.
+    pub nrmse_percent: Vec<f64>,
+}
+
+impl Stage for Pretrain {
+    fn kind(&self) -> &'static str {
+        "pretrain"
+    }
+
+    fn about(&self) -> &'static str {
+        "stage 1: encoder, latent equations and decoder from the simulations"
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn reads(&self) -> &'static [&'static str] {
+        &["pretrain", "motions.seed"]
+    }
+
+    fn run(&self, task: &Task<'_>) -> Result<()> {
+        let settings: PretrainSettings = task.section("pretrain")?;
+        let folder = task.input("dataset")?;
+        let card = dataset::card(folder)?;
+        let train = dataset::cases(folder, &card.train)?;
+        let validation = dataset::cases(folder, &card.validation)?;
+        let seed: u64 = task.section("motions.seed")?;
+        let (model, history) =
+            pretrain(&train, &validation, &settings, seed, Some(task.checkpoint_dir()?), task.progress())?;
+        model.save(task.output_dir(), &card.source_normalisation())?;
+        history.save(&task.output_dir().join("history.csv"))?;
+        let errors: Vec<ValidationCase> =
+            validation.par_iter().map(|case| validate(&model, case)).collect::<Result<_>>()?;
+        write_json(&task.output_dir().join("validation.json"), &errors)
+    }
+}
+
+fn validate(model: &SourceModel, case: &Case) -> Result<ValidationCase> {
+    let n = model.shape.channels;
+    let predicted = model.roll_out(case)?;
+    let target = &case.dense[(model.shape.window - 1) * n..];
+    // The first sample is what the encoder saw: the rollout is judged from the next one on.
+    let column = |field: &[f32], j: usize| field.iter().skip(n + j).step_by(n).map(|v| f64::from(*v)).collect::<Vec<_>>();
+    let nrmse = (0..n).map(|j| nrmse_percent(&column(&predicted, j), &column(target, j))).collect();
+    Ok(ValidationCase { case: case.id.clone(), nrmse_percent: nrmse })
+}
+
+/// The validation errors that stage left in `folder`.
+///
+/// # Errors
+/// When they are not there.
+pub fn validation(folder: &Path) -> Result<Vec<ValidationCase>> {
+    read_json(&folder.join("validation.json"))
+}

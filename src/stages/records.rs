@@ -1,0 +1,117 @@
+//! The records of the site: read from files, or recorded at a twin of the site.
+
+use super::artifact::write_json;
+use crate::error::{Error, Result};
+use crate::manifest::{ColumnSections, SensorsSection, Tolerances};
+use crate::pipeline::{Stage, Task};
+use crate::records::{self, FORMATS, Record, RecordSettings, Request};
+use crate::registry;
+use crate::twin::{self, Truth};
+use crate::units::AccelerationUnit;
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use toml::Table;
+
+/// Collects the records in one form.
+pub struct Records;
+
+impl Stage for Records {
+    fn kind(&self) -> &'static str {
+        "records"
+    }
+
+    fn about(&self) -> &'static str {
+        "measured records from files, or synthetic ones of a twin site, in m/s²"
+    }
+
+    fn version(&self) -> u32 {
+        1
+    }
+
+    fn reads(&self) -> &'static [&'static str] {
+        &["site", "law", "sensors", "tolerances", "analysis", "records"]
+    }
+
+    fn unkeyed(&self) -> &'static [&'static str] {
+        &["records.dir", "records.truth"]
+    }
+
+    fn files(&self, parameters: &Table, _: &Path) -> Result<Vec<PathBuf>> {
+        let settings: RecordSettings = section(parameters, "records")?;
+        let sensors: SensorsSection = section(parameters, "sensors")?;
+        if settings.format == "twin" {
+            return Ok(settings.truth.iter().map(PathBuf::from).collect());
+        }
+        let format = (registry::find("record format", FORMATS, &settings.format)?.build)(settings.options.clone())?;
+        let dir = PathBuf::from(settings.dir.clone().unwrap_or_default());
+        let outputs = sensors.names();
+        let mut files = Vec::new();
+        for (event, _) in settings.events() {
+            for component in &settings.components {
+                let input = &sensors.input;
+                let request = Request { dir: &dir, event, component, unit: settings.unit, input, outputs: &outputs };
+                files.extend(format.files(&request).into_iter().filter(|f| f.exists()));
+            }
+        }
+        Ok(files)
+    }
+
+    fn run(&self, task: &Task<'_>) -> Result<()> {
+        let settings: RecordSettings = task.section("records")?;
+        let sensors: SensorsSection = task.section("sensors")?;
+        let (found, missing) = if settings.format == "twin" {
+            (twin_records(task, &settings)?, Vec::new())
+        } else {
+            let dir = PathBuf::from(settings.dir.clone().unwrap_or_default());
+            let read = records::load(&settings, &dir, &sensors.input, &sensors.names())?;
+            (read.records.into_iter().map(|(_, r)| r).collect(), read.missing)
+        };
+        for record in &found {
+            records::csv::write(task.output_dir(), record, AccelerationUnit::MetrePerSecondSquared, &["unit: m/s2"])?;
+        }
+        let gaps: Vec<[&str; 2]> = missing.iter().map(|m| [m.event.as_str(), m.component.as_str()]).collect();
+        for [event, component] in &gaps {
+            task.progress().note(&format!("event {event} has no component {component}"));
+        }
+        write_json(&task.output_dir().join("missing.json"), &gaps)
+    }
+}
+
+fn section<T: serde::de::DeserializeOwned>(parameters: &Table, name: &str) -> Result<T> {
+    let value = parameters.get(name).cloned().ok_or_else(|| {
+        Error::new(format!("the manifest has no `[{name}]`")).hint("calibration needs measured or twin records").usage()
+    })?;
+    value.try_into().map_err(|e: toml::de::Error| Error::new(e.message().to_string()).usage())
+}
+
+fn twin_records(task: &Task<'_>, settings: &RecordSettings) -> Result<Vec<Record>> {
+    let truth = Truth::load(Path::new(settings.truth.as_deref().unwrap_or_default()))?;
+    let sections: ColumnSections =
+        task.parameters().clone().try_into().map_err(|e| Error::new("no column").cause(e))?;
+    let recorder = twin::recorder(&sections, &task.section::<Tolerances>("tolerances")?, &truth)?;
+    let events: Vec<&str> = settings.events().map(|(event, _)| event).collect();
+    task.progress().start("twin events", events.len() as u64);
+    let records: Vec<Vec<Record>> = events
+        .par_iter()
+        .map(|event| {
+            let records = twin::record_event(&recorder, event, &settings.components)?;
+            task.progress().advance(1);
+            Ok(records)
+        })
+        .collect::<Result<_>>()?;
+    Ok(records.into_iter().flatten().collect())
+}
+
+/// The records that stage left in `folder`, with their split.
+///
+/// # Errors
+/// When they cannot be read.
+pub fn read(folder: &Path, settings: &RecordSettings, sensors: &SensorsSection) -> Result<records::Records> {
+    let stored = RecordSettings {
+        format: "csv".into(),
+        unit: AccelerationUnit::MetrePerSecondSquared,
+        options: Table::new(),
+        ..settings.clone()
+    };
+    records::load(&stored, folder, &sensors.input, &sensors.names())
+}
