@@ -1,3 +1,5 @@
 //! Numerical tools without domain words: linear algebra of the column, filters and resampling, random streams.
 
+pub mod block_tridiagonal;
+pub mod lanes;
 pub mod random;
