@@ -25,9 +25,10 @@ pub fn check(arguments: &SiteArguments) -> Result<()> {
         site.records.as_ref().map_or(0, |r| r.events().count()),
     );
     let column = Column::new(&site.column().profile()?, &site.analysis)?;
-    eprintln!("  fundamental frequency at small strain: {:.2} Hz", column.fundamental_frequency_hz());
-    for remark in column.remarks() {
-        eprintln!("  {:6.2} m: {}", remark.depth_m, remark.remark);
-    }
+    eprintln!("  frequency from the travel time of shear waves: {:.2} Hz", column.frequency_hz());
+    let moduli = column.shear_modulus_pa();
+    let range = |values: &[f64]| values.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
+    let (least, largest) = range(&moduli);
+    eprintln!("  small-strain shear modulus: {:.1}–{:.1} MPa", least / 1e6, largest / 1e6);
     Ok(())
 }

@@ -1,56 +1,62 @@
-//! Why a column could not finish a motion.
+//! Why a run of the column ended early: when, where, and for what reason.
 
+use crate::error::Error;
 use crate::soil::Refusal;
 use std::fmt;
 
-/// A run that ended before its motion did.
+/// A run that could not be finished; what was handed out before is valid.
 #[derive(Debug)]
 pub struct Failure {
     /// Time reached, s.
     pub time_s: f64,
-    /// Depth of the trouble, m, where it has one.
-    pub depth_m: Option<f64>,
-    /// What went wrong.
+    /// Depth of the trouble, m.
+    pub depth_m: f64,
+    /// The reason.
     pub cause: Cause,
 }
 
-/// What went wrong.
+/// The reason of a [`Failure`].
 #[derive(Debug)]
 pub enum Cause {
-    /// Newton did not converge at the smallest step: out-of-balance force over the force scale.
-    NoConvergence {
-        /// Step, s.
+    /// Newton's iteration did not converge at the smallest increment.
+    Unbalanced {
+        /// Unbalanced traction over the largest dynamic stress.
+        share: f64,
+        /// The smallest increment tried, s.
         step_s: f64,
-        /// Out-of-balance force over the force scale.
-        residual: f64,
     },
-    /// A law refused even the smallest step.
+    /// A law refused the smallest increment.
     Law(Refusal),
-    /// The tangent matrix became singular.
+    /// The equations became singular.
     Singular,
-    /// The base motion is empty or holds a value that is not finite.
-    BaseMotion,
-    /// Whoever takes the output could not.
-    Output(crate::Error),
+    /// The base motion is empty, has no step, or holds a value that is not finite.
+    Input(String),
+    /// Whoever receives the frames could not.
+    Sink(Error),
 }
 
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "the column stopped at {:.4} s, {:.2} m deep: ", self.time_s, self.depth_m)?;
         match &self.cause {
-            Cause::NoConvergence { step_s, residual } => {
-                write!(f, "Newton does not converge at the smallest step {step_s:.1e} s (residual {residual:.1e})")?;
+            Cause::Unbalanced { share, step_s } => {
+                write!(f, "{share:.1e} of the dynamic stress stays unbalanced at an increment of {step_s:.1e} s")
             }
-            Cause::Law(refusal) => write!(f, "{refusal}")?,
-            Cause::Singular => write!(f, "the tangent matrix is singular")?,
-            Cause::BaseMotion => write!(f, "the base motion is empty or not finite")?,
-            Cause::Output(error) => write!(f, "{error}")?,
-        }
-        write!(f, " at t = {:.4} s", self.time_s)?;
-        match self.depth_m {
-            Some(depth) => write!(f, ", depth {depth:.2} m"),
-            None => Ok(()),
+            Cause::Law(refusal) => write!(f, "{refusal}"),
+            Cause::Singular => f.write_str("the tangent stiffness is singular"),
+            Cause::Input(what) => f.write_str(what),
+            Cause::Sink(error) => write!(f, "{}", error.what()),
         }
     }
 }
 
 impl std::error::Error for Failure {}
+
+impl From<Failure> for Error {
+    fn from(failure: Failure) -> Self {
+        match failure.cause {
+            Cause::Sink(error) => error,
+            _ => Self::new(failure.to_string()).hint("a smaller `analysis.max_step_s`, or a weaker base motion"),
+        }
+    }
+}

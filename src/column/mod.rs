@@ -1,16 +1,72 @@
-//! The finite-element soil column: mesh, geostatic state, assembly, damping, time stepping, pore water.
+//! The finite-element soil column: mesh, geostatic state, assembly, damping, HHT time stepping, pore water.
 //!
-//! Plane strain, one element across with both sides tied: each elevation has a horizontal and a vertical displacement, each
-//! element one integration point. Stresses are measured from the geostatic state, which is in equilibrium by construction.
+//! Plane strain, one element across with tied sides: two displacements per elevation (horizontal u, vertical v positive
+//! down) and one integration point per element with γ = ∂u/∂z and ε_yy = ∂v/∂z. The column is computed in displacements
+//! relative to the base, which for a rigid base is the same equations as total displacement without the drift of an
+//! integrated base motion; everything handed out is **absolute** acceleration. Mass-proportional damping acts on the
+//! velocity relative to the base. Knows no files.
 
 mod analysis;
-mod dynamics;
 mod failure;
 mod mesh;
 mod profile;
+mod run;
+mod step;
 
 pub use analysis::Analysis;
-pub use dynamics::{Frame, RunSummary};
 pub use failure::{Cause, Failure};
-pub use mesh::{Column, LayerRemark};
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
+pub use run::{Frame, RunSummary};
+
+use crate::error::Result;
+use mesh::Mesh;
+
+/// A column ready to be shaken; one value serves all threads.
+pub struct Column {
+    mesh: Mesh,
+    analysis: Analysis,
+}
+
+impl Column {
+    /// Meshes `profile`, sets the geostatic state and starts every law from it.
+    ///
+    /// # Errors
+    /// When the profile or a law's parameters are out of range, all problems named.
+    pub fn new(profile: &Profile, analysis: &Analysis) -> Result<Self> {
+        let problems: Vec<String> = profile
+            .problems()
+            .into_iter()
+            .chain(analysis.problems())
+            .map(|(key, what)| format!("`{key}` {what}"))
+            .collect();
+        if !problems.is_empty() {
+            return Err(crate::error::Error::new(problems.join("\n")).usage());
+        }
+        Ok(Self { mesh: Mesh::new(profile)?, analysis: analysis.clone() })
+    }
+
+    /// Depths of the element centres, surface down, m.
+    pub fn channel_depths_m(&self) -> Vec<f64> {
+        self.mesh.elements.iter().map(|e| e.depth_m).collect()
+    }
+
+    /// Vertical effective stress of each element before shaking, Pa, compression positive.
+    pub fn vertical_effective_stress_pa(&self) -> Vec<f64> {
+        self.mesh.elements.iter().map(|e| e.vertical_pa).collect()
+    }
+
+    /// Small-strain shear modulus of each element at the geostatic state, Pa.
+    pub fn shear_modulus_pa(&self) -> Vec<f64> {
+        self.mesh.elements.iter().map(|e| e.elastic_pa[0]).collect()
+    }
+
+    /// Fundamental frequency from the travel time of shear waves, Vs-weighted, Hz.
+    pub fn frequency_hz(&self) -> f64 {
+        self.mesh.frequency_hz
+    }
+
+    /// How an analysis of this column is stepped.
+    pub fn analysis(&self) -> &Analysis {
+        &self.analysis
+    }
+}

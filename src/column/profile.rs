@@ -1,21 +1,63 @@
-//! The set-up of a column as plain data, which effects edit.
+//! The declared column as plain data: layers, water, base, damping. Effects edit it.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Layers, water table, boundary and damping of a column.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+/// A soil profile and how it is meshed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
 pub struct Profile {
-    /// Layers from the surface down.
+    /// Layers, surface down.
     pub layers: Vec<Layer>,
-    /// Depth of the water table, m; `None` for a dry column.
-    pub water_table_m: Option<f64>,
-    /// Vertical displacement above the base.
+    /// Depth of the water table below the surface, m.
+    pub water_table_m: f64,
+    /// Vertical motion above the base.
     pub vertical: Vertical,
-    /// Rayleigh damping of the whole column.
+    /// Rayleigh damping of the whole column beside what the laws ask for.
+    #[serde(default)]
     pub rayleigh: Rayleigh,
-    /// Finite elements over the depth.
+    /// Number of elements, distributed over the layers by thickness; layer boundaries are kept.
     pub elements: usize,
+}
+
+/// One soil layer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Layer {
+    /// Thickness, m.
+    pub thickness_m: f64,
+    /// Mass density of the wet soil, kg/m³.
+    pub density_kg_m3: f64,
+    /// Shear-wave velocity, m/s.
+    pub vs_m_s: f64,
+    /// Coefficient of earth pressure at rest K₀.
+    pub k0: f64,
+    /// Kind of the law, a name of `flare-pipe list laws`.
+    pub law_kind: String,
+    /// Parameters of the law, per-layer ones merged in.
+    #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
+    pub law: toml::Table,
+}
+
+/// Vertical motion above the base.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Vertical {
+    /// Free above the base.
+    #[default]
+    Free,
+    /// Restrained everywhere: shear strain only.
+    Restrained,
+}
+
+/// Rayleigh damping α·M + β·K with the elastic stiffness of the geostatic state.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct Rayleigh {
+    /// Mass-proportional coefficient α, 1/s.
+    pub alpha_1_s: f64,
+    /// Stiffness-proportional coefficient β, s.
+    pub beta_s: f64,
 }
 
 impl Profile {
@@ -23,42 +65,32 @@ impl Profile {
     pub fn depth_m(&self) -> f64 {
         self.layers.iter().map(|l| l.thickness_m).sum()
     }
-}
 
-/// One layer.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Layer {
-    /// Thickness, m.
-    pub thickness_m: f64,
-    /// Total mass density, kg/m³.
-    pub density_kg_m3: f64,
-    /// Small-strain shear-wave velocity, m/s.
-    pub vs_m_s: f64,
-    /// Horizontal over vertical effective stress at rest.
-    pub k0: f64,
-    /// Kind of the law, a name of [`crate::soil::LAWS`].
-    pub law_kind: String,
-    /// Parameters of the law in this layer.
-    pub law: toml::Table,
-}
-
-/// Vertical displacement of the nodes above the base.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Vertical {
-    /// Free.
-    Free,
-    /// Held everywhere: a pure shear column.
-    Restrained,
-}
-
-/// Rayleigh damping α M + β K. K is the stiffness at the geostatic state, M acts on the velocity relative to the base, so
-/// that a rigid translation is not damped.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct Rayleigh {
-    /// α in 1/s.
-    pub alpha_1_s: f64,
-    /// β in s.
-    pub beta_s: f64,
+    /// What is out of range, as (key, sentence).
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut problems = Vec::new();
+        let mut check = |key: String, value: f64, unit: &str, low: f64, high: f64| {
+            if !(value >= low && value <= high) {
+                problems.push((key, format!("must be in {low}…{high}{unit}, got {value}")));
+            }
+        };
+        for (i, layer) in self.layers.iter().enumerate() {
+            let key = |name: &str| format!("layer.{i}.{name}");
+            check(key("thickness_m"), layer.thickness_m, " m", 0.01, 2000.0);
+            check(key("density_kg_m3"), layer.density_kg_m3, " kg/m³", 1050.0, 4000.0);
+            check(key("vs_m_s"), layer.vs_m_s, " m/s", 20.0, 5000.0);
+            check(key("k0"), layer.k0, "", 0.05, 5.0);
+        }
+        check("water_table_m".into(), self.water_table_m, " m", 0.0, 1e6);
+        check("rayleigh.alpha_1_s".into(), self.rayleigh.alpha_1_s, " 1/s", 0.0, 100.0);
+        check("rayleigh.beta_s".into(), self.rayleigh.beta_s, " s", 0.0, 1.0);
+        if self.layers.is_empty() {
+            problems.push(("layer".into(), "must name at least one layer".into()));
+        }
+        if self.elements < self.layers.len() || self.elements > 100_000 {
+            let range = format!("{}…100000 (at least one per layer)", self.layers.len());
+            problems.push(("elements".into(), format!("must be in {range}, got {}", self.elements)));
+        }
+        problems
+    }
 }

@@ -4,7 +4,7 @@ use super::observation::{Observation, observation_matrix};
 use crate::column::{Column, Frame};
 use crate::error::{Error, Result};
 
-/// Reads sensors from frames: the surface node above, the base below, element centres between, linear in depth.
+/// Reads sensors from frames: the surface node, element centres below it, linear in depth between.
 pub struct Sampler {
     rows: Vec<Observation>,
     values: Vec<f64>,
@@ -15,16 +15,13 @@ impl Sampler {
     pub fn new(column: &Column, sensor_depth_m: &[f64]) -> Self {
         let mut depths = vec![0.0];
         depths.extend(column.channel_depths_m());
-        depths.push(column.depth_m());
         Self { rows: observation_matrix(&depths, sensor_depth_m), values: vec![0.0; depths.len()] }
     }
 
     /// Accelerations of the sensors at one frame into `readings_m_s2`, m/s².
     pub fn read(&mut self, frame: &Frame<'_>, readings_m_s2: &mut [f64]) {
-        let last = self.values.len() - 1;
         self.values[0] = frame.surface_m_s2;
-        self.values[1..last].copy_from_slice(frame.elements_m_s2);
-        self.values[last] = frame.base_m_s2;
+        self.values[1..].copy_from_slice(frame.elements_m_s2);
         for (reading, row) in readings_m_s2.iter_mut().zip(&self.rows) {
             *reading = row.of(&self.values);
         }

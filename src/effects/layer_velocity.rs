@@ -86,7 +86,7 @@ mod tests {
         };
         Profile {
             layers: vec![layer.clone(), layer],
-            water_table_m: None,
+            water_table_m: 1e6,
             vertical: Vertical::Free,
             rayleigh: Rayleigh::default(),
             elements: 10,

@@ -5,6 +5,9 @@ use crate::column::{Layer, Profile};
 use crate::effects;
 use crate::error::{Error, Result};
 
+/// Depth of the water table that means a dry column, m.
+const DRY_M: f64 = 1e6;
+
 impl ColumnSections {
     /// Law kind and parameters of `layer`: the table under `[law]` with the layer's own keys laid over it.
     ///
@@ -39,7 +42,7 @@ impl ColumnSections {
         });
         Ok(Profile {
             layers: layers.collect::<Result<_>>()?,
-            water_table_m: self.site.water_table_m,
+            water_table_m: self.site.water_table_m.unwrap_or(DRY_M),
             vertical: self.site.vertical,
             rayleigh: self.site.rayleigh,
             elements: self.site.elements,

@@ -1,124 +1,121 @@
-//! Direct solution of block-tridiagonal systems with 2×2 blocks (block Thomas, no pivoting between blocks).
+//! Direct solution of block-tridiagonal systems with 2×2 blocks (block Thomas), without allocation.
 
 /// A 2×2 block, row by row.
-pub type Block = [[f64; 2]; 2];
-/// A 2-vector.
-pub type Pair = [f64; 2];
+pub type Block = [f64; 4];
 
-/// Workspace of a block-tridiagonal system with `n` block rows.
+/// Matrix `A` of `n` block rows, `A[i,i−1] = lower[i]`, `A[i,i] = diagonal[i]`, `A[i,i+1] = upper[i]`, and its
+/// factorisation `A = L·U` without pivoting between blocks.
 ///
-///     L_i x_{i−1} + D_i x_i + U_i x_{i+1} = b_i                              (1)
-///
-/// Suited to matrices that are symmetric positive definite or block-diagonally dominant, as those of a column in implicit
-/// dynamics are. Solving costs O(n) and allocates nothing.
+/// Limits: the leading block minors must be regular, which mass and stiffness of a column guarantee away from a
+/// limit point; `solve` returns false when a pivot block is singular or not finite.
 #[derive(Debug, Clone)]
 pub struct BlockTridiagonal {
-    /// L_i, the blocks left of the diagonal; the first is not read.
+    /// Blocks below the diagonal; the first is unused.
     pub lower: Vec<Block>,
-    /// D_i, the diagonal blocks.
+    /// Blocks on the diagonal.
     pub diagonal: Vec<Block>,
-    /// U_i, the blocks right of the diagonal; the last is not read.
+    /// Blocks above the diagonal; the last is unused.
     pub upper: Vec<Block>,
+    factor: Vec<Block>,
 }
 
 impl BlockTridiagonal {
-    /// A system of zeros with `n` block rows.
+    /// A zero matrix of `n` block rows.
     pub fn new(n: usize) -> Self {
-        Self { lower: vec![[[0.0; 2]; 2]; n], diagonal: vec![[[0.0; 2]; 2]; n], upper: vec![[[0.0; 2]; 2]; n] }
+        let zero = vec![[0.0; 4]; n];
+        Self { lower: zero.clone(), diagonal: zero.clone(), upper: zero.clone(), factor: zero }
     }
 
-    /// Solves (1) in place: `b` becomes `x`. The blocks are overwritten.
-    ///
-    /// Returns whether every pivot block was regular; `b` is not meaningful otherwise.
-    pub fn solve(&mut self, b: &mut [Pair]) -> bool {
+    /// Solves `A x = b` in place (`b` enters, `x` leaves); false when a pivot block is singular.
+    #[must_use]
+    pub fn solve(&mut self, b: &mut [[f64; 2]]) -> bool {
         let n = self.diagonal.len();
-        debug_assert_eq!(b.len(), n);
-        let mut regular = true;
+        let mut above = [0.0; 4]; // D⁻¹U of the row above
+        let mut x = [0.0; 2];
+        let mut is_regular = true;
         for i in 0..n {
-            if i > 0 {
-                let l = self.lower[i];
-                self.diagonal[i] = subtract(self.diagonal[i], product(l, self.upper[i - 1]));
-                let shift = apply(l, b[i - 1]);
-                b[i] = [b[i][0] - shift[0], b[i][1] - shift[1]];
-            }
-            let Some(inverse) = inverse(self.diagonal[i]) else {
-                regular = false;
-                break;
-            };
-            self.upper[i] = product(inverse, self.upper[i]);
-            b[i] = apply(inverse, b[i]);
+            let l = self.lower[i];
+            let d = sub(self.diagonal[i], mul(l, above));
+            let det = d[0] * d[3] - d[1] * d[2];
+            let inv = 1.0 / det;
+            is_regular &= inv.is_finite() && inv != 0.0;
+            let inverse = [d[3] * inv, -d[1] * inv, -d[2] * inv, d[0] * inv];
+            let lx = apply(l, x);
+            x = apply(inverse, [b[i][0] - lx[0], b[i][1] - lx[1]]);
+            b[i] = x;
+            above = mul(inverse, self.upper[i]);
+            self.factor[i] = above;
         }
         for i in (0..n.saturating_sub(1)).rev() {
-            let shift = apply(self.upper[i], b[i + 1]);
-            b[i] = [b[i][0] - shift[0], b[i][1] - shift[1]];
+            let ux = apply(self.factor[i], x);
+            x = [b[i][0] - ux[0], b[i][1] - ux[1]];
+            b[i] = x;
         }
-        regular
+        is_regular
     }
 }
 
-#[inline]
-fn product(a: Block, b: Block) -> Block {
-    [
-        [a[0][0] * b[0][0] + a[0][1] * b[1][0], a[0][0] * b[0][1] + a[0][1] * b[1][1]],
-        [a[1][0] * b[0][0] + a[1][1] * b[1][0], a[1][0] * b[0][1] + a[1][1] * b[1][1]],
-    ]
+#[inline(always)]
+fn mul(a: Block, b: Block) -> Block {
+    [a[0] * b[0] + a[1] * b[2], a[0] * b[1] + a[1] * b[3], a[2] * b[0] + a[3] * b[2], a[2] * b[1] + a[3] * b[3]]
 }
 
-#[inline]
-fn subtract(a: Block, b: Block) -> Block {
-    [[a[0][0] - b[0][0], a[0][1] - b[0][1]], [a[1][0] - b[1][0], a[1][1] - b[1][1]]]
+#[inline(always)]
+fn sub(a: Block, b: Block) -> Block {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2], a[3] - b[3]]
 }
 
-#[inline]
-fn apply(a: Block, x: Pair) -> Pair {
-    [a[0][0] * x[0] + a[0][1] * x[1], a[1][0] * x[0] + a[1][1] * x[1]]
-}
-
-#[inline]
-fn inverse(a: Block) -> Option<Block> {
-    let determinant = a[0][0] * a[1][1] - a[0][1] * a[1][0];
-    if !(determinant.is_finite() && determinant != 0.0) {
-        return None;
-    }
-    let d = 1.0 / determinant;
-    Some([[a[1][1] * d, -a[0][1] * d], [-a[1][0] * d, a[0][0] * d]])
+#[inline(always)]
+fn apply(a: Block, x: [f64; 2]) -> [f64; 2] {
+    [a[0] * x[0] + a[1] * x[1], a[2] * x[0] + a[3] * x[1]]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rand::RngExt;
+
+    fn random_system(n: usize) -> (BlockTridiagonal, Vec<[f64; 2]>) {
+        let mut rng = crate::numerics::random::stream(7, "block");
+        let mut block = |scale: f64| [0; 4].map(|_| scale * rng.random_range(-1.0..1.0));
+        let mut a = BlockTridiagonal::new(n);
+        for i in 0..n {
+            a.lower[i] = if i > 0 { block(1.0) } else { [0.0; 4] };
+            a.upper[i] = if i + 1 < n { block(1.0) } else { [0.0; 4] };
+            let d = block(1.0);
+            a.diagonal[i] = [d[0] + 5.0, d[1], d[2], d[3] + 5.0];
+        }
+        let x = (0..n).map(|i| [i as f64 - 3.0, 0.5 * i as f64]).collect();
+        (a, x)
+    }
 
     #[test]
-    fn the_solution_satisfies_the_system() {
-        let n = 17;
-        let mut system = BlockTridiagonal::new(n);
-        let wave = |i: usize, k: f64| (k * (i as f64 + 1.0)).sin();
-        for i in 0..n {
-            system.lower[i] = [[wave(i, 1.1), wave(i, 2.3)], [wave(i, 0.7), wave(i, 3.1)]];
-            system.upper[i] = [[wave(i, 1.7), wave(i, 2.9)], [wave(i, 0.3), wave(i, 1.3)]];
-            system.diagonal[i] = [[6.0 + wave(i, 0.9), wave(i, 4.1)], [wave(i, 5.3), 7.0]];
-        }
-        let b: Vec<Pair> = (0..n).map(|i| [wave(i, 6.1), wave(i, 7.7)]).collect();
-        let original = system.clone();
-        let mut x = b.clone();
-        assert!(system.solve(&mut x));
-        for i in 0..n {
-            let mut row = apply(original.diagonal[i], x[i]);
-            if i > 0 {
-                let left = apply(original.lower[i], x[i - 1]);
-                row = [row[0] + left[0], row[1] + left[1]];
-            }
-            if i + 1 < n {
-                let right = apply(original.upper[i], x[i + 1]);
-                row = [row[0] + right[0], row[1] + right[1]];
-            }
-            assert!((row[0] - b[i][0]).abs() < 1e-13 && (row[1] - b[i][1]).abs() < 1e-13);
+    fn solution_reproduces_the_right_hand_side_to_round_off() {
+        let (mut a, x) = random_system(50);
+        let mut b: Vec<[f64; 2]> = (0..50)
+            .map(|i| {
+                let mut row = apply(a.diagonal[i], x[i]);
+                if i > 0 {
+                    let t = apply(a.lower[i], x[i - 1]);
+                    row = [row[0] + t[0], row[1] + t[1]];
+                }
+                if i < 49 {
+                    let t = apply(a.upper[i], x[i + 1]);
+                    row = [row[0] + t[0], row[1] + t[1]];
+                }
+                row
+            })
+            .collect();
+        assert!(a.solve(&mut b));
+        for (b, x) in b.iter().zip(&x) {
+            assert!((b[0] - x[0]).abs() < 1e-12 && (b[1] - x[1]).abs() < 1e-12, "{b:?} {x:?}");
         }
     }
 
     #[test]
-    fn a_singular_pivot_is_reported() {
-        let mut system = BlockTridiagonal::new(3);
-        assert!(!system.solve(&mut [[1.0, 1.0]; 3]));
+    fn a_singular_block_is_told() {
+        let mut a = BlockTridiagonal::new(2);
+        a.diagonal[1] = [1.0, 0.0, 0.0, 1.0];
+        assert!(!a.solve(&mut [[1.0, 1.0], [1.0, 1.0]]));
     }
 }

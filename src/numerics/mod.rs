@@ -4,5 +4,6 @@ pub mod block_tridiagonal;
 pub mod delay;
 pub mod filter;
 pub mod integrate;
+pub mod lanes;
 pub mod random;
 pub mod resample;

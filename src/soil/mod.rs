@@ -1,142 +1,147 @@
 //! Constitutive laws: one law a file, registered in [`LAWS`].
 //!
-//! A [`Law`] is a set of parameters; placed at a [`Point`] of the profile it becomes a [`Material`], an immutable value
-//! that maps a committed state and a strain increment to a trial state, stresses and a tangent. The column owns the
-//! states: accepting a step is one copy, cutting it another.
-//!
-//! Stresses here are effective, in Pa, **tension positive** like the strains: `σ_yy` and `ε_yy` are vertical, `τ` and `γ`
-//! horizontal shear; ε_xx = ε_zz = 0.
+//! A law is an immutable value; the memory of every soil point is a slice that the column owns. Laws see plane-strain
+//! shear-column kinematics only: shear strain γ and vertical strain ε_yy, tension positive, ε_xx = ε_zz = 0. Stresses
+//! handed back are **effective**; the column adds the pore water.
 
 mod elastic;
 mod hyperbolic;
 mod sanisand;
 
-use crate::error::Result;
-use crate::registry::{self, Entry};
+use crate::error::{Error, Result};
+use crate::registry::Entry;
+use std::fmt;
 
-/// All laws, by the `kind` of a `[law.NAME]` table.
+/// Every law a manifest can name: a file, its `mod` line and a line here.
 pub const LAWS: &[Entry<dyn Law>] = &[elastic::ENTRY, hyperbolic::ENTRY, sanisand::ENTRY];
 
-/// Where a material point lies and how it starts.
+/// Where a soil point is and what it carries before shaking; compression positive, effective.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Point {
     /// Depth below the surface, m.
     pub depth_m: f64,
-    /// Total mass density, kg/m³.
+    /// Mass density of the wet soil, kg/m³.
     pub density_kg_m3: f64,
-    /// Small-strain shear-wave velocity, m/s.
+    /// Shear-wave velocity at the geostatic state, m/s.
     pub vs_m_s: f64,
-    /// Vertical effective stress after the geostatic step, compression positive, Pa.
-    pub vertical_effective_stress_pa: f64,
-    /// Horizontal over vertical effective stress.
-    pub k0: f64,
+    /// Vertical effective stress, Pa.
+    pub vertical_pa: f64,
+    /// Horizontal effective stress, Pa.
+    pub horizontal_pa: f64,
 }
 
 impl Point {
-    /// Small-strain shear modulus ρ Vs², Pa.
+    /// Mean effective stress, Pa.
+    pub fn mean_pa(&self) -> f64 {
+        (self.vertical_pa + 2.0 * self.horizontal_pa) / 3.0
+    }
+
+    /// Small-strain shear modulus ρ·Vs², Pa.
     pub fn shear_modulus_pa(&self) -> f64 {
         self.density_kg_m3 * self.vs_m_s * self.vs_m_s
     }
-
-    /// Mean effective stress, compression positive, Pa.
-    pub fn mean_effective_stress_pa(&self) -> f64 {
-        self.vertical_effective_stress_pa * (1.0 + 2.0 * self.k0) / 3.0
-    }
 }
 
-/// Strain increment of a column element since the committed state, tension positive.
+/// Strain increment of one step, tension positive.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Increment {
-    /// Engineering shear strain ∂u/∂z.
+    /// Δγ = Δ(∂u/∂z).
     pub gamma: f64,
-    /// Vertical normal strain ∂w/∂z.
-    pub epsilon_yy: f64,
+    /// Δε_yy, vertical.
+    pub eps_yy: f64,
 }
 
-/// Effective stresses and their derivatives after an increment.
+/// Stress at the end of the increment and its derivative, tension positive, effective.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct Response {
-    /// Shear stress, Pa.
+    /// Shear stress τ, Pa.
     pub tau_pa: f64,
-    /// Vertical effective stress less the geostatic one, tension positive, Pa.
+    /// Vertical effective stress σ'_yy, Pa.
     pub sigma_yy_pa: f64,
-    /// ∂(τ, σ_yy)/∂(γ, ε_yy), Pa, row by row.
-    pub tangent_pa: [[f64; 2]; 2],
+    /// [∂τ/∂γ, ∂τ/∂ε_yy, ∂σ/∂γ, ∂σ/∂ε_yy], Pa.
+    pub tangent_pa: [f64; 4],
 }
 
-/// Why a law could not follow an increment; the time step is cut.
+/// Why a law could not follow an increment; the column answers by a shorter step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Refusal {
-    /// More substeps than the law allows itself.
-    TooManySubsteps,
-    /// The mean effective stress, residual pressure included, vanished.
-    NoConfinement,
-    /// A number stopped being finite.
+    /// The integration would need more substeps than allowed.
+    Substeps,
+    /// The return to the yield surface did not converge.
+    Return,
+    /// Stress or strain is not a finite number.
     NotFinite,
 }
 
-impl std::fmt::Display for Refusal {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::TooManySubsteps => "the law needs more substeps than it allows",
-            Self::NoConfinement => "the mean effective stress vanished",
-            Self::NotFinite => "the law gave a value that is not finite",
+            Self::Substeps => "the stress integration needs more substeps than allowed",
+            Self::Return => "the return to the yield surface does not converge",
+            Self::NotFinite => "stress or strain is not finite",
         })
     }
 }
 
-/// Parameters of a constitutive law.
+/// A constitutive law.
 pub trait Law: Send + Sync {
-    /// The law at one point of the profile.
-    ///
-    /// # Errors
-    /// When the point lies outside what the law can represent.
-    fn at(&self, point: &Point) -> Result<Box<dyn Material>>;
-}
-
-/// A law at one point: immutable; its memory is a slice that the column owns.
-pub trait Material: Send + Sync {
-    /// Length of the state.
+    /// Numbers of memory per point.
     fn n_state(&self) -> usize;
 
-    /// Writes the geostatic state.
-    fn initial(&self, state: &mut [f64]);
-
-    /// Follows `increment` from `committed` into `trial`.
+    /// Writes the geostatic memory of a point and returns the elastic tangent there.
     ///
     /// # Errors
-    /// When the increment is too large for the law; the caller halves it.
+    /// When the law cannot exist at this stress (outside its strength, for example).
+    fn start(&self, point: &Point, state: &mut [f64]) -> Result<[f64; 4]>;
+
+    /// Response after `increment`, from `committed` memory to `trial` memory.
+    ///
+    /// # Errors
+    /// When the increment is too large to follow.
     fn update(&self, increment: Increment, committed: &[f64], trial: &mut [f64]) -> Result<Response, Refusal>;
 
-    /// Tangent at the geostatic state, Pa.
-    fn initial_tangent_pa(&self) -> [[f64; 2]; 2];
-
-    /// Small-strain damping that the law's own hysteresis does not supply, as a fraction of critical.
-    fn small_strain_damping(&self) -> f64 {
-        0.0
+    /// [`Law::update`] of many points, memory point after point; the error names the first point refused.
+    ///
+    /// # Errors
+    /// When the increment of a point is too large to follow.
+    fn update_all(
+        &self,
+        increments: &[Increment],
+        committed: &[f64],
+        trial: &mut [f64],
+        responses: &mut [Response],
+    ) -> Result<(), (usize, Refusal)> {
+        let n = self.n_state();
+        let memory = committed.chunks_exact(n).zip(trial.chunks_exact_mut(n));
+        for (i, ((increment, response), (old, new))) in increments.iter().zip(responses).zip(memory).enumerate() {
+            *response = self.update(*increment, old, new).map_err(|refusal| (i, refusal))?;
+        }
+        Ok(())
     }
 
-    /// Void ratio that sets how much pore water there is.
-    fn void_ratio(&self) -> f64;
+    /// Bulk stiffness of the pore water, K_w / porosity (Pa), where the point lies below the water table.
+    fn pore_stiffness_pa(&self) -> f64;
 
-    /// Bulk modulus of the pore water, Pa.
-    fn water_bulk_modulus_pa(&self) -> f64 {
-        WATER_BULK_MODULUS_PA
-    }
-
-    /// What is worth printing beside a layer ("G0 = 301.2").
-    fn remark(&self) -> Option<String> {
-        None
-    }
+    /// Small-strain damping ratio that the law asks for beside its hysteresis.
+    fn damping_ratio(&self, point: &Point) -> f64;
 }
 
-/// Bulk modulus of water, Pa.
-pub const WATER_BULK_MODULUS_PA: f64 = 2.2e9;
+/// Collects range problems as (key, sentence).
+struct Ranges(Vec<String>);
 
-/// Builds the law of `kind` with parameters `table`.
-///
-/// # Errors
-/// When the kind is unknown or a parameter missing, unknown or out of range.
-pub fn build(kind: &str, table: &toml::Table) -> Result<Box<dyn Law>> {
-    (registry::find("soil law", LAWS, kind)?.build)(table.clone())
+impl Ranges {
+    fn new() -> Self {
+        Self(Vec::new())
+    }
+
+    fn check(mut self, key: &str, value: f64, low: f64, high: f64) -> Self {
+        if !(value >= low && value <= high) {
+            self.0.push(format!("`{key}` must be in {low}…{high}, got {value}"));
+        }
+        self
+    }
+
+    fn done(self) -> Result<()> {
+        if self.0.is_empty() { Ok(()) } else { Err(Error::new(self.0.join("; ")).usage()) }
+    }
 }

@@ -1,10 +1,10 @@
 //! Predictions of every recorded event, finite elements beside FLARE-T, and all errors.
 
 use super::artifact::{read_json, write_json, write_table};
-use super::{calibrate, dataset, records, replay};
+use super::predict::Predictor;
+use super::{records, replay};
 use crate::dataset::Coarse;
 use crate::error::{Error, Result};
-use crate::flare::{Calibration, Event, Observation, SourceModel, SparseEncoder, predict};
 use crate::manifest::SensorsSection;
 use crate::metrics::{Quartiles, nrmse_percent, psa_ln_rmse, r2, r2_pooled, timewise_error_percent};
 use crate::numerics::resample::resample_band_limited;
@@ -91,15 +91,13 @@ impl Stage for Evaluate {
         let settings: RecordSettings = task.section("records")?;
         let sensors: SensorsSection = task.section("sensors")?;
         let output_step_s: f64 = task.section("analysis.output_step_s")?;
-        let predictor = Predictor::load(task)?;
+        let predictors = predictors(task)?;
         let mut evaluation = Evaluation::default();
         for (split, record) in records::read(task.input("records")?, &settings, &sensors)?.records {
-            let place = |e: Error| e.at(format!("event `{}`, component `{}`", record.event, record.component));
+            let uncalibrated = || Error::new(format!("component `{}` is not calibrated", record.component));
+            let predictor = predictors.get(&record.component).ok_or_else(uncalibrated)?;
             let replayed = replay::read(task.input("replay")?, &record.event, &record.component)?;
-            let fe = replayed.map(|h| {
-                h.iter().map(|x| resample_band_limited(x, output_step_s, predictor.card.step_s)).collect::<Vec<_>>()
-            });
-            let comparison = predictor.compare(&record, fe).map_err(place)?;
+            let comparison = compare(predictor, &record, replayed, output_step_s);
             comparison.judge(&record, split, &mut evaluation);
             comparison.write(task.output_dir(), &record)?;
         }
@@ -107,52 +105,33 @@ impl Stage for Evaluate {
     }
 }
 
-struct Predictor {
-    card: dataset::Card,
-    model: SourceModel,
-    encoder: SparseEncoder,
-    observation: Observation,
-    calibrations: BTreeMap<String, Calibration>,
+/// One predictor a component.
+fn predictors(task: &Task<'_>) -> Result<BTreeMap<String, Predictor>> {
+    let (dataset, pretrain, distill) = (task.input("dataset")?, task.input("pretrain")?, task.input("distill")?);
+    task.inputs("calibrate")?
+        .map(|(component, folder)| Ok((component.to_string(), Predictor::load(dataset, pretrain, distill, folder)?)))
+        .collect()
 }
 
-impl Predictor {
-    fn load(task: &Task<'_>) -> Result<Self> {
-        let card = dataset::card(task.input("dataset")?)?;
-        let (model, _) = SourceModel::load(task.input("pretrain")?)?;
-        let (encoder, observation) = SparseEncoder::load(task.input("distill")?)?;
-        let calibrations = task
-            .inputs("calibrate")?
-            .map(|(component, folder)| Ok((component.to_string(), Calibration::load(folder, &model.shape)?)))
-            .collect::<Result<_>>()?;
-        Ok(Self { card, model, encoder, observation, calibrations })
-    }
-
-    fn compare(&self, record: &Record, fe: Option<Vec<Vec<f64>>>) -> Result<Comparison> {
-        let window = self.encoder.window;
-        let n_sensor = self.observation.n_sensor();
-        let coarse = Coarse::of_record(record, self.card.step_s);
-        let Event { u, u_half, sparse, .. } = calibrate::event(record, self.card.step_s, &self.card.normalisation);
-        let calibration = self
-            .calibrations
-            .get(&record.component)
-            .ok_or_else(|| Error::new(format!("component `{}` is not calibrated", record.component)))?;
-        let initial = &sparse[..(window * n_sensor).min(sparse.len())];
-        let xi = &calibration.coefficients;
-        let predicted = predict(&self.model, &self.encoder, xi, &self.observation, initial, &u, &u_half).ok();
-        let column = |rows: &[f64], j: usize, skip: usize| -> Vec<f64> {
-            rows.iter().skip(skip * n_sensor + j).step_by(n_sensor).copied().collect()
-        };
-        // The response up to sample `window` − 1 was given; everything after it is predicted.
-        let observed: Vec<Vec<f64>> = (0..n_sensor).map(|j| column(&coarse.sparse_m_s2, j, window)).collect();
-        let flare_t = predicted.map(|rows| {
-            let rows = self.card.normalisation.sparse_to_m_s2(&rows);
-            (0..n_sensor).map(|j| column(&rows, j, 1)).collect::<Vec<_>>()
-        });
-        let n = observed.first().map_or(0, Vec::len);
-        let fe = fe.map(|h| h.iter().map(|x| x.iter().skip(window).take(n).copied().collect()).collect::<Vec<Vec<f64>>>());
-        let fe = fe.filter(|h| h.iter().all(|x| x.len() == n));
-        Ok(Comparison { start_s: window as f64 * self.card.step_s, step_s: self.card.step_s, observed, fe, flare_t })
-    }
+/// Lays finite elements and FLARE-T beside one record.
+fn compare(predictor: &Predictor, record: &Record, replayed: Option<Vec<Vec<f64>>>, output_step_s: f64) -> Comparison {
+    let (window, step_s) = (predictor.window(), predictor.step_s());
+    let coarse = Coarse::of_record(record, step_s);
+    let histories: Vec<Vec<f64>> = (0..coarse.n_sparse)
+        .map(|j| coarse.sparse_m_s2.iter().skip(j).step_by(coarse.n_sparse).copied().collect())
+        .collect();
+    let flare_t = predictor.predict(&histories, &coarse.base_m_s2, &coarse.base_half_m_s2).ok();
+    // The response up to sample `window` − 1 was given; everything after it is predicted.
+    let after = |h: &[f64]| -> Vec<f64> { h.iter().skip(window).copied().collect() };
+    let observed: Vec<Vec<f64>> = histories.iter().map(|h| after(h)).collect();
+    let n = observed.first().map_or(0, Vec::len);
+    let fe = replayed
+        .map(|h| {
+            let coarse = h.iter().map(|x| resample_band_limited(x, output_step_s, step_s));
+            coarse.map(|x| after(&x).into_iter().take(n).collect::<Vec<f64>>()).collect::<Vec<_>>()
+        })
+        .filter(|h| h.iter().all(|x| x.len() == n));
+    Comparison { start_s: window as f64 * step_s, step_s, observed, fe, flare_t }
 }
 
 /// One event and component after the initial window, at the step of the latent model.

@@ -6,6 +6,7 @@ mod dataset;
 mod distill;
 mod evaluate;
 mod motions;
+pub mod predict;
 mod pretrain;
 mod records;
 mod replay;

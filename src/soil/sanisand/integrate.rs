@@ -1,133 +1,309 @@
-//! Integration over a strain increment: exact elastic exit, then modified Euler with error control.
+//! Stress integration: exact elastic part, crossing of the yield surface, then modified-Euler substeps with error control.
 
-use super::rates::{Change, Stiffness};
-use super::tensor::Tensor;
-use super::{Placed, Refusal, State};
+use super::rates::{Constants, Deviator, Rates, State, add, dot};
+use super::{N_STATE, Sanisand};
+use crate::numerics::lanes::Lane;
+use crate::soil::{Increment, Refusal, Response};
 
-/// Largest relative error of a substep.
-const TOLERANCE: f64 = 1e-5;
-const MAX_SUBSTEPS: usize = 2000;
-const MIN_FRACTION: f64 = 1e-5;
-/// p̄ below this share of p_t counts as no confinement.
-const MIN_PRESSURE: f64 = 1e-3;
-
-impl Placed {
-    /// End state and stiffness after `strain` from `start`.
-    pub(super) fn integrate(&self, start: &State, strain: Tensor) -> Result<(State, Stiffness), Refusal> {
-        let p_bar = start.stress.trace() / 3.0 + self.p_t;
-        let (shear, bulk) = self.moduli(p_bar, start.void_ratio);
-        let elastic = strain.deviator() * (2.0 * shear) + Tensor::UNIT * (bulk * strain.trace());
-        let exit = self.elastic_share(start, p_bar, elastic);
-        let mut state = *start;
-        if exit > 0.0 {
-            state.stress = state.stress + elastic * exit;
-            state.void_ratio -= (1.0 + state.void_ratio) * strain.trace() * exit;
-        }
-        if exit >= 1.0 {
-            self.admissible(&state)?;
-            return Ok((state, Stiffness { shear, bulk, flow: None }));
-        }
-        let rest = strain * (1.0 - exit);
-        let mut done = 0.0;
-        let mut fraction: f64 = 1.0;
-        for _ in 0..MAX_SUBSTEPS {
-            fraction = fraction.min(1.0 - done);
-            self.turn(&mut state);
-            let part = rest * fraction;
-            let first = self.plastic_change(&state, &self.flow(&state), part);
-            let middle = advanced(&state, &first);
-            if self.admissible(&middle).is_err() {
-                fraction *= 0.25;
-                if fraction < MIN_FRACTION {
-                    return Err(Refusal::NoConfinement);
-                }
-                continue;
-            }
-            let second = self.plastic_change(&middle, &self.flow(&middle), part);
-            let error = self.error(&state, &first, &second);
-            if error > TOLERANCE && fraction > MIN_FRACTION {
-                fraction = (fraction * (0.9 * (TOLERANCE / error).sqrt()).max(0.1)).max(MIN_FRACTION);
-                continue;
-            }
-            state = advanced(&state, &mean(&first, &second));
-            self.admissible(&state)?;
-            self.recentre(&mut state);
-            done += fraction;
-            if done >= 1.0 - 1e-12 {
-                let flow = self.flow(&state);
-                return Ok((state, Stiffness { shear: flow.shear, bulk: flow.bulk, flow: Some(flow) }));
-            }
-            fraction *= (0.9 * (TOLERANCE / error.max(1e-16)).sqrt()).clamp(0.2, 4.0);
-        }
-        Err(Refusal::TooManySubsteps)
-    }
-
-    /// Share of the elastic stress change `elastic` that stays inside the yield surface: the larger root of
-    /// ‖x + t y‖² = ⅔ m² (p̄ + t Δp)², x = s − p̄ α, y = Δs − Δp α.
-    fn elastic_share(&self, state: &State, p_bar: f64, elastic: Tensor) -> f64 {
-        let size = 2.0 / 3.0 * self.law.m * self.law.m;
-        let dp = elastic.trace() / 3.0;
-        let x = state.stress.deviator() - state.alpha * p_bar;
-        let y = elastic.deviator() - state.alpha * dp;
-        let a = y.dot(y) - size * dp * dp;
-        let b = x.dot(y) - size * p_bar * dp;
-        let mut c = x.dot(x) - size * p_bar * p_bar;
-        if c > -1e-9 * size * p_bar * p_bar {
-            c = 0.0;
-        }
-        if a <= 0.0 {
-            return if b > 0.0 && c == 0.0 { 0.0 } else { 1.0 };
-        }
-        let root = ((-b + (b * b - a * c).max(0.0).sqrt()) / a).max(0.0);
-        root.min(1.0)
-    }
-
-    /// Moves α_in to α at a reversal.
-    fn turn(&self, state: &mut State) {
-        if (state.alpha - state.alpha_in).dot(self.direction(state)) < 0.0 {
-            state.alpha_in = state.alpha;
-        }
-    }
-
-    /// Shifts α so that the stress lies on the yield surface again; the stress is left alone.
-    fn recentre(&self, state: &mut State) {
-        let p_bar = state.stress.trace() / 3.0 + self.p_t;
-        let n = self.direction(state);
-        state.alpha = state.stress.deviator() * (1.0 / p_bar) - n * ((2.0f64 / 3.0).sqrt() * self.law.m);
-    }
-
-    fn admissible(&self, state: &State) -> Result<(), Refusal> {
-        let p_bar = state.stress.trace() / 3.0 + self.p_t;
-        if !p_bar.is_finite() || !state.stress.0[3].is_finite() {
-            return Err(Refusal::NotFinite);
-        }
-        if p_bar < MIN_PRESSURE * self.p_t { Err(Refusal::NoConfinement) } else { Ok(()) }
-    }
-
-    fn error(&self, state: &State, first: &Change, second: &Change) -> f64 {
-        let p_bar = state.stress.trace() / 3.0 + self.p_t;
-        let stress = 0.5 * (second.stress - first.stress).norm() / p_bar;
-        let alpha = 0.5 * (second.alpha - first.alpha).norm();
-        let fabric = 0.5 * (second.fabric - first.fabric).norm() / self.law.z_max.max(1.0);
-        stress.max(alpha).max(fabric)
-    }
+/// One point at a time.
+pub(super) fn narrow(
+    law: &Sanisand,
+    increments: &[Increment],
+    committed: &[f64],
+    trial: &mut [f64],
+    responses: &mut [Response],
+) -> Result<(), (usize, Refusal)> {
+    many::<f64>(law, increments, committed, trial, responses)
 }
 
-fn advanced(state: &State, change: &Change) -> State {
+/// As many points at a time as this machine's registers hold; the same bytes as [`narrow`].
+pub(super) fn widest(
+    law: &Sanisand,
+    increments: &[Increment],
+    committed: &[f64],
+    trial: &mut [f64],
+    responses: &mut [Response],
+) -> Result<(), (usize, Refusal)> {
+    #[cfg(target_arch = "x86_64")]
+    {
+        use crate::numerics::lanes::{Avx2, Avx512};
+
+        #[target_feature(enable = "avx2")]
+        fn by_four(
+            law: &Sanisand,
+            increments: &[Increment],
+            committed: &[f64],
+            trial: &mut [f64],
+            responses: &mut [Response],
+        ) -> Result<(), (usize, Refusal)> {
+            many::<Avx2>(law, increments, committed, trial, responses)
+        }
+
+        #[target_feature(enable = "avx512f,avx512dq")]
+        fn by_eight(
+            law: &Sanisand,
+            increments: &[Increment],
+            committed: &[f64],
+            trial: &mut [f64],
+            responses: &mut [Response],
+        ) -> Result<(), (usize, Refusal)> {
+            many::<Avx512>(law, increments, committed, trial, responses)
+        }
+
+        if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
+            // SAFETY: both features were detected on this line.
+            return unsafe { by_eight(law, increments, committed, trial, responses) };
+        }
+        if is_x86_feature_detected!("avx2") {
+            // SAFETY: the feature was detected on this line.
+            return unsafe { by_four(law, increments, committed, trial, responses) };
+        }
+    }
+    narrow(law, increments, committed, trial, responses)
+}
+
+#[inline(always)]
+fn many<L: Lane>(
+    law: &Sanisand,
+    increments: &[Increment],
+    committed: &[f64],
+    trial: &mut [f64],
+    responses: &mut [Response],
+) -> Result<(), (usize, Refusal)> {
+    let c = Constants::new(law);
+    let n = increments.len();
+    let mut first = 0;
+    while first < n {
+        // The last bundle repeats the last point.
+        let point = |lane: usize| (first + lane).min(n - 1);
+        let get = |k: usize| L::from_fn(|lane| committed[point(lane) * N_STATE + k]);
+        let get3 = |k: usize| [get(k), get(k + 1), get(k + 2)];
+        let state =
+            State { s: get3(0), p: get(3), alpha: get3(4), z: get3(7), alpha_in: get3(10), e: get(13), g_0: get(14) };
+        let d_gamma = L::from_fn(|lane| increments[point(lane)].gamma);
+        let d_eps = L::from_fn(|lane| increments[point(lane)].eps_yy);
+        let (end, tangent, failed) = advance(&c, state, d_gamma, d_eps);
+        let refused = L::select(failed, L::splat(1.0), L::splat(0.0));
+        let tau = end.s[2];
+        let sigma = L::splat(c.p_t) - end.s[1] - end.p;
+        for lane in 0..L::N.min(n - first) {
+            let i = first + lane;
+            if refused.lane(lane) != 0.0 {
+                let is_finite = increments[i].gamma.is_finite() && increments[i].eps_yy.is_finite();
+                return Err((i, if is_finite { Refusal::Substeps } else { Refusal::NotFinite }));
+            }
+            let fields = [
+                end.s[0],
+                end.s[1],
+                end.s[2],
+                end.p,
+                end.alpha[0],
+                end.alpha[1],
+                end.alpha[2],
+                end.z[0],
+                end.z[1],
+                end.z[2],
+                end.alpha_in[0],
+                end.alpha_in[1],
+                end.alpha_in[2],
+                end.e,
+                end.g_0,
+            ];
+            for (slot, field) in trial[i * N_STATE..(i + 1) * N_STATE].iter_mut().zip(fields) {
+                *slot = field.lane(lane);
+            }
+            responses[i] = Response {
+                tau_pa: tau.lane(lane),
+                sigma_yy_pa: sigma.lane(lane),
+                tangent_pa: [
+                    tangent[0].lane(lane),
+                    tangent[1].lane(lane),
+                    tangent[2].lane(lane),
+                    tangent[3].lane(lane),
+                ],
+            };
+        }
+        first += L::N;
+    }
+    Ok(())
+}
+
+#[inline(always)]
+fn select3<L: Lane>(mask: L::Mask, yes: Deviator<L>, no: Deviator<L>) -> Deviator<L> {
+    [L::select(mask, yes[0], no[0]), L::select(mask, yes[1], no[1]), L::select(mask, yes[2], no[2])]
+}
+
+/// State and tangent after the increment, and where the integration gave up.
+#[inline(always)]
+fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (State<L>, [L; 4], L::Mask) {
+    let zero = L::splat(0.0);
+    let one = L::splat(1.0);
+    let half = L::splat(0.5);
+    // Compression positive: volume −ε_yy, deviator (⅓, −⅔) ε_yy.
+    let dv = -d_eps;
+    let de = [L::splat(1.0 / 3.0) * d_eps, L::splat(-2.0 / 3.0) * d_eps, half * d_gamma];
+    let e_end = start.e - (one + start.e) * dv;
+
+    // Elastic trial. With G = a√p̄ and K in proportion the stress path is a straight line and √p̄ is linear in strain.
+    let a = c.stiffness(start.g_0, start.e);
+    let b = a * L::splat(c.k_per_g);
+    let root_0 = start.p.sqrt();
+    let root_1 = (root_0 + half * b * dv).max(L::splat(1e-3));
+    let mean_root = half * (root_0 + root_1);
+    let ds = {
+        let two_g = (a + a) * mean_root;
+        [two_g * de[0], two_g * de[1], two_g * de[2]]
+    };
+    let dp = b * mean_root * dv;
+
+    // f² along the line: qa t² + qb t + qc.
+    let k2 = L::splat(c.yield_radius * c.yield_radius);
+    let from = add(start.s, -start.p, start.alpha);
+    let along = add(ds, -dp, start.alpha);
+    let qa = dot(along, along) - k2 * dp * dp;
+    let qb = dot(from, along) - k2 * start.p * dp; // half of the linear coefficient
+    let qc = (dot(from, from) - k2 * start.p * start.p).min(zero);
+    let outside = qa + qb + qb + qc;
+    let plastic = L::lt(zero, outside);
+    let elastic_end = State { s: add(start.s, one, ds), p: start.p + dp, e: e_end, ..start };
+    let root_end = (start.p + dp).max(L::splat(1e-6 * c.p_a)).sqrt();
+    let g_end = a * root_end;
+    let elastic_tangent = [g_end, zero, zero, L::splat(4.0 / 3.0) * g_end + b * root_end];
+    // A negative p̄ after the elastic part or an increment that is no number is refused.
+    let mut failed = L::not(L::and(L::lt(zero, start.p + dp), L::lt(outside.abs(), L::splat(1e300))));
+    let mut active = L::and(plastic, L::not(failed));
+    if !L::any(active) {
+        return (elastic_end, elastic_tangent, failed);
+    }
+
+    // Where the line leaves the yield surface, as a share of stress (t) and of strain (beta).
+    let disc = (qb * qb - qa * qc).max(zero).sqrt();
+    let t_in = -qc / (qb + disc).max(L::splat(1e-300));
+    let t_out = (disc - qb) / qa.max(L::splat(1e-300));
+    let t = L::select(L::lt(zero, qb), t_in, t_out).max(zero).min(one);
+    let p_cross = start.p + t * dp;
+    let beta = (t * mean_root / (half * (root_0 + p_cross.max(zero).sqrt()))).min(one);
+    let mut now = State { s: add(start.s, t, ds), p: p_cross, ..start };
+    let rest = one - beta;
+    let de = [rest * de[0], rest * de[1], rest * de[2]];
+    let dv = rest * dv;
+    now.e = start.e - (one + start.e) * (-d_eps) * beta;
+    let de_void = e_end - now.e;
+
+    let tolerance = L::splat(c.tolerance);
+    let mut time = zero;
+    let mut share = one;
+    let mut tangent = elastic_tangent;
+    let mut count = 0;
+    while L::any(active) {
+        count += 1;
+        share = share.min(one - time);
+        let (first, reversed) = Rates::at(c, &now);
+        now.alpha_in = select3::<L>(L::and(reversed, active), now.alpha, now.alpha_in);
+        let de_sub = [share * de[0], share * de[1], share * de[2]];
+        let dv_sub = share * dv;
+        let (d1, load_1) = derivative(c, &now, &first, de_sub, dv_sub);
+        let middle = moved(&now, &d1, one, share * de_void);
+        let (second, _) = Rates::at(c, &middle);
+        let (d2, load_2) = derivative(c, &middle, &second, de_sub, dv_sub);
+        let mean = Change {
+            s: add([half * d1.s[0], half * d1.s[1], half * d1.s[2]], half, d2.s),
+            p: half * (d1.p + d2.p),
+            alpha: add([half * d1.alpha[0], half * d1.alpha[1], half * d1.alpha[2]], half, d2.alpha),
+            z: add([half * d1.z[0], half * d1.z[1], half * d1.z[2]], half, d2.z),
+        };
+        let mut next = moved(&now, &mean, one, share * de_void);
+
+        let miss_s = add(d2.s, L::splat(-1.0), d1.s);
+        let miss_p = d2.p - d1.p;
+        let miss_alpha = add(d2.alpha, L::splat(-1.0), d1.alpha);
+        let stress_2 = dot(miss_s, miss_s) + L::splat(3.0) * miss_p * miss_p;
+        let next_p = next.p.max(L::splat(1e-6 * c.p_a));
+        let error = half * (stress_2 / (next_p * next_p)).max(dot(miss_alpha, miss_alpha)).sqrt();
+        let fine = L::and(L::lt(error, tolerance), L::lt(L::splat(2e-6 * c.p_a), next.p.min(middle.p)));
+        let accept = L::and(fine, active);
+
+        // Drift: the stress stands, α follows, where the substep was plastic.
+        let inv_p = one / next_p;
+        let away =
+            [next.s[0] * inv_p - next.alpha[0], next.s[1] * inv_p - next.alpha[1], next.s[2] * inv_p - next.alpha[2]];
+        let norm = dot(away, away).sqrt().max(L::splat(1e-14));
+        let loading = L::lt(zero, load_1 + load_2);
+        let excess = L::select(loading, (norm - L::splat(c.yield_radius)) / norm, zero);
+        next.alpha = add(next.alpha, excess, away);
+
+        let pick = |new: L, old: L| L::select(accept, new, old);
+        now = State {
+            s: select3::<L>(accept, next.s, now.s),
+            p: pick(next.p, now.p),
+            alpha: select3::<L>(accept, next.alpha, now.alpha),
+            z: select3::<L>(accept, next.z, now.z),
+            e: pick(next.e, now.e),
+            ..now
+        };
+        let candidate = second.tangent(L::lt(zero, load_2));
+        for (kept, new) in tangent.iter_mut().zip(candidate) {
+            *kept = pick(new, *kept);
+        }
+        time = pick(time + share, time);
+        let factor = (L::splat(0.81) * tolerance / error.max(L::splat(1e-30))).sqrt();
+        let factor = factor.max(L::splat(0.1)).min(L::select(fine, L::splat(5.0), L::splat(0.7)));
+        // Not-a-number keeps the second operand: such a substep is cut by ten.
+        share = share * factor;
+        active = L::and(active, L::lt(time, L::splat(1.0 - 1e-12)));
+        if count >= c.max_substeps {
+            failed = L::or(failed, active);
+            break;
+        }
+    }
+    let end = State {
+        s: select3::<L>(plastic, now.s, elastic_end.s),
+        p: L::select(plastic, now.p, elastic_end.p),
+        alpha: now.alpha,
+        z: now.z,
+        alpha_in: now.alpha_in,
+        e: e_end,
+        g_0: start.g_0,
+    };
+    let pick = |i: usize| L::select(plastic, tangent[i], elastic_tangent[i]);
+    (end, [pick(0), pick(1), pick(2), pick(3)], failed)
+}
+
+struct Change<L> {
+    s: Deviator<L>,
+    p: L,
+    alpha: Deviator<L>,
+    z: Deviator<L>,
+}
+
+#[inline(always)]
+fn moved<L: Lane>(state: &State<L>, change: &Change<L>, c: L, de_void: L) -> State<L> {
     State {
-        stress: state.stress + change.stress,
-        alpha: state.alpha + change.alpha,
-        fabric: state.fabric + change.fabric,
-        alpha_in: state.alpha_in,
-        void_ratio: state.void_ratio + change.void_ratio,
+        s: add(state.s, c, change.s),
+        p: state.p + c * change.p,
+        alpha: add(state.alpha, c, change.alpha),
+        z: add(state.z, c, change.z),
+        e: state.e + de_void,
+        ..*state
     }
 }
 
-fn mean(a: &Change, b: &Change) -> Change {
-    Change {
-        stress: (a.stress + b.stress) * 0.5,
-        alpha: (a.alpha + b.alpha) * 0.5,
-        fabric: (a.fabric + b.fabric) * 0.5,
-        void_ratio: 0.5 * (a.void_ratio + b.void_ratio),
-    }
+/// Change of the state over a strain increment at constant rates, and the loading multiplier over x.
+#[inline(always)]
+fn derivative<L: Lane>(c: &Constants, state: &State<L>, r: &Rates<L>, de: Deviator<L>, dv: L) -> (Change<L>, L) {
+    let over_x = r.multiplier_over_x(de, dv);
+    let l = over_x * r.x;
+    let two_g = r.g + r.g;
+    let dilation = (-(l * r.d)).max(L::splat(0.0)) * L::splat(-c.c_z);
+    let change = Change {
+        s: [two_g * (de[0] - l * r.flow[0]), two_g * (de[1] - l * r.flow[1]), two_g * (de[2] - l * r.flow[2])],
+        p: r.k * (dv - l * r.d),
+        alpha: [over_x * r.back[0], over_x * r.back[1], over_x * r.back[2]], // (6)
+        z: [
+            dilation * (L::splat(c.z_max) * r.n[0] + state.z[0]), // (8)
+            dilation * (L::splat(c.z_max) * r.n[1] + state.z[1]),
+            dilation * (L::splat(c.z_max) * r.n[2] + state.z[2]),
+        ],
+    };
+    (change, over_x)
 }

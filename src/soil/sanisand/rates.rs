@@ -1,143 +1,195 @@
-//! The rate equations: plastic flow and hardening at one state.
+//! Everything equations (2)–(10) need at one state, for several points side by side.
 
-use super::tensor::Tensor;
-use super::{Placed, State};
+use super::Sanisand;
+use crate::numerics::lanes::Lane;
+use crate::units::KPA;
 
-const SQRT_2_3: f64 = 0.816_496_580_927_726;
+/// Deviator of plane strain: xx, yy, xy; zz = −xx − yy.
+pub(super) type Deviator<L> = [L; 3];
 
-/// Everything of (4) to (9) that does not depend on the strain rate.
-pub(super) struct Flow {
-    pub shear: f64,
-    pub bulk: f64,
-    /// Loading direction n.
-    n: Tensor,
-    /// n:r
-    n_r: f64,
-    /// 2G R' + K D I
-    relaxation: Tensor,
-    /// Denominator of (9).
-    denominator: f64,
-    /// ⅔ h (α_b − α)
-    back_stress_rate: Tensor,
-    /// D
-    dilatancy: f64,
+/// a : b.
+#[inline(always)]
+pub(super) fn dot<L: Lane>(a: Deviator<L>, b: Deviator<L>) -> L {
+    a[0] * b[0] + a[1] * b[1] + (a[0] + a[1]) * (b[0] + b[1]) + (a[2] * b[2] + a[2] * b[2])
 }
 
-/// Changes of a state.
+/// a + c·b.
+#[inline(always)]
+pub(super) fn add<L: Lane>(a: Deviator<L>, c: L, b: Deviator<L>) -> Deviator<L> {
+    [a[0] + c * b[0], a[1] + c * b[1], a[2] + c * b[2]]
+}
+
+/// Memory of several points.
 #[derive(Clone, Copy)]
-pub(super) struct Change {
-    pub stress: Tensor,
-    pub alpha: Tensor,
-    pub fabric: Tensor,
-    pub void_ratio: f64,
+pub(super) struct State<L> {
+    pub s: Deviator<L>,
+    pub p: L,
+    pub alpha: Deviator<L>,
+    pub z: Deviator<L>,
+    pub alpha_in: Deviator<L>,
+    pub e: L,
+    pub g_0: L,
 }
 
-/// Stiffness at a state: elastic moduli and, on the yield surface, what plasticity takes away.
-pub(super) struct Stiffness {
-    pub shear: f64,
-    pub bulk: f64,
-    pub flow: Option<Flow>,
+/// Parameters in the form the kernel uses.
+pub(super) struct Constants {
+    pub p_a: f64,
+    pub p_t: f64,
+    pub k_per_g: f64,
+    pub yield_radius: f64,
+    pub tolerance: f64,
+    pub max_substeps: u32,
+    e_0: f64,
+    lambda_c: f64,
+    xi: f64,
+    c: f64,
+    m_c: f64,
+    m: f64,
+    h_0: f64,
+    c_h: f64,
+    n_b: f64,
+    n_d: f64,
+    a_0: f64,
+    pub z_max: f64,
+    pub c_z: f64,
 }
 
-impl Placed {
-    /// (1)
+impl Constants {
+    pub fn new(law: &Sanisand) -> Self {
+        let p_a = law.p_a_kpa * KPA;
+        Self {
+            p_a,
+            p_t: law.p_t_over_p_a * p_a,
+            k_per_g: 2.0 * (1.0 + law.nu) / (3.0 * (1.0 - 2.0 * law.nu)),
+            yield_radius: (2.0_f64 / 3.0).sqrt() * law.m,
+            tolerance: law.tolerance,
+            max_substeps: law.max_substeps,
+            e_0: law.e_0,
+            lambda_c: law.lambda_c,
+            xi: law.xi,
+            c: law.m_e / law.m_c,
+            m_c: law.m_c,
+            m: law.m,
+            h_0: law.h_0,
+            c_h: law.c_h,
+            n_b: law.n_b,
+            n_d: law.n_d,
+            a_0: law.a_0,
+            z_max: law.z_max,
+            c_z: law.c_z,
+        }
+    }
+
+    /// G/√p̄, constant while the void ratio is.
     #[inline(always)]
-    pub(super) fn moduli(&self, p_bar: f64, void_ratio: f64) -> (f64, f64) {
-        let gap = 2.97 - void_ratio;
-        let shear = self.g_0 * gap * gap / (1.0 + void_ratio) * (p_bar * self.p_a).sqrt();
-        (shear, 2.0 * (1.0 + self.law.nu) / (3.0 * (1.0 - 2.0 * self.law.nu)) * shear)
-    }
-
-    /// Loading direction (4) at `state`.
-    #[inline(always)]
-    pub(super) fn direction(&self, state: &State) -> Tensor {
-        let p_bar = state.stress.trace() / 3.0 + self.p_t;
-        let offset = state.stress.deviator() * (1.0 / p_bar) - state.alpha;
-        offset * (1.0 / offset.norm().max(1e-14))
-    }
-
-    pub(super) fn flow(&self, state: &State) -> Flow {
-        let law = &self.law;
-        let p_bar = state.stress.trace() / 3.0 + self.p_t;
-        let (shear, bulk) = self.moduli(p_bar, state.void_ratio);
-        let r = state.stress.deviator() * (1.0 / p_bar);
-        let offset = r - state.alpha;
-        let n = offset * (1.0 / offset.norm().max(1e-14));
-        let n_squared = n.square();
-        let tr_n3 = n_squared.dot(n);
-        let cos_3theta = (6.0f64.sqrt() * tr_n3).clamp(-1.0, 1.0);
-        let c = law.m_e / law.m_c;
-        let g = 2.0 * c / ((1.0 + c) - (1.0 - c) * cos_3theta); // (4)
-        let ratio = p_bar / self.p_a;
-        let psi = state.void_ratio - (law.e_0 - law.lambda_c * ratio.powf(law.xi)); // (2)
-        let bound = SQRT_2_3 * (g * law.m_c * (-law.n_b * psi).exp() - law.m); // (5)
-        let dilatant = SQRT_2_3 * (g * law.m_c * (law.n_d * psi).exp() - law.m);
-        let alpha_n = state.alpha.dot(n);
-        let distance_in = (state.alpha - state.alpha_in).dot(n).max(MIN_DISTANCE);
-        let h = self.g_0 * law.h_0 * (1.0 - law.c_h * state.void_ratio) / ratio.sqrt() / distance_in; // (6)
-        let hardening = 2.0 / 3.0 * p_bar * h * (bound - alpha_n);
-        let mut dilatancy = law.a_0 * (1.0 + state.fabric.dot(n).max(0.0)) * (dilatant - alpha_n); // (7)
-        if dilatancy > 0.0 {
-            dilatancy *= (p_bar / self.p_t).min(1.0);
-        }
-        let shape = (1.0 - c) / c * g;
-        let b = 1.0 + 1.5 * shape * cos_3theta; // (8)
-        let c_flow = 3.0 * 1.5f64.sqrt() * shape;
-        let deviatoric = n * b - (n_squared - Tensor::UNIT * (1.0 / 3.0)) * c_flow;
-        let n_r = n.dot(r);
-        Flow {
-            shear,
-            bulk,
-            n,
-            n_r,
-            relaxation: deviatoric * (2.0 * shear) + Tensor::UNIT * (bulk * dilatancy),
-            denominator: hardening + 2.0 * shear * (b - c_flow * tr_n3) - bulk * dilatancy * n_r,
-            back_stress_rate: (n * bound - state.alpha) * (2.0 / 3.0 * h),
-            dilatancy,
-        }
-    }
-
-    /// Change of `state` over `strain` with the rates at `state`, (9) to (11).
-    pub(super) fn plastic_change(&self, state: &State, flow: &Flow, strain: Tensor) -> Change {
-        let volumetric = strain.trace();
-        let elastic = strain.deviator() * (2.0 * flow.shear) + Tensor::UNIT * (flow.bulk * volumetric);
-        let load = flow.load(strain).max(0.0);
-        let plastic_volumetric = load * flow.dilatancy;
-        let growth = self.law.c_z * (-plastic_volumetric).max(0.0);
-        Change {
-            stress: elastic - flow.relaxation * load, // (10)
-            alpha: flow.back_stress_rate * load,      // (11)
-            fabric: (flow.n * self.law.z_max + state.fabric) * -growth,
-            void_ratio: -(1.0 + state.void_ratio) * volumetric,
-        }
+    pub fn stiffness<L: Lane>(&self, g_0: L, e: L) -> L {
+        let d = L::splat(2.97) - e;
+        g_0 * L::splat(self.p_a.sqrt()) * d * d / (L::splat(1.0) + e)
     }
 }
 
-/// Smallest (α − α_in):n, which keeps h of (6) finite at a reversal.
-const MIN_DISTANCE: f64 = 1e-7;
-
-impl Flow {
-    /// Loading index (9) of a strain increment.
-    #[inline(always)]
-    pub(super) fn load(&self, strain: Tensor) -> f64 {
-        let numerator = 2.0 * self.shear * self.n.dot(strain.deviator()) - self.n_r * self.bulk * strain.trace();
-        if self.denominator > 0.0 { numerator / self.denominator } else { 0.0 }
-    }
+/// The rates at one state: a strain increment makes them stress.
+#[derive(Clone, Copy)]
+pub(super) struct Rates<L> {
+    /// Shear and bulk modulus.
+    pub g: L,
+    pub k: L,
+    /// Loading direction and n : r.
+    pub n: Deviator<L>,
+    pub n_r: L,
+    /// Deviatoric flow direction and dilatancy.
+    pub flow: Deviator<L>,
+    pub d: L,
+    /// (α − α_in) : n, not negative.
+    pub x: L,
+    /// The denominator of (10) times x.
+    pub denominator: L,
+    /// ⅔ b₀ (α^b − α).
+    pub back: Deviator<L>,
 }
 
-impl Stiffness {
-    /// ∂(τ, σ_yy)/∂(γ, ε_yy), tension positive as the column wants it.
-    pub(super) fn plane(&self) -> [[f64; 2]; 2] {
-        let mut tangent = [[self.shear, 0.0], [0.0, self.bulk + 4.0 / 3.0 * self.shear]];
-        if let Some(flow) = &self.flow {
-            // Unit γ is tensor strain −½ xy, unit ε_yy is −1 yy; stresses change sign back.
-            let strains = [Tensor([0.0, 0.0, 0.0, -0.5]), Tensor([0.0, -1.0, 0.0, 0.0])];
-            for (column, strain) in strains.into_iter().enumerate() {
-                let load = flow.load(strain);
-                tangent[0][column] += flow.relaxation.0[3] * load;
-                tangent[1][column] += flow.relaxation.0[1] * load;
-            }
-        }
-        tangent
+impl<L: Lane> Rates<L> {
+    /// The rates at `s`, with α_in moved to α where the loading direction has turned (told by the second value).
+    #[inline(always)]
+    pub fn at(c: &Constants, s: &State<L>) -> (Self, L::Mask) {
+        let one = L::splat(1.0);
+        let zero = L::splat(0.0);
+        let p = s.p.max(L::splat(1e-6 * c.p_a));
+        let inv_p = one / p;
+        let r = [s.s[0] * inv_p, s.s[1] * inv_p, s.s[2] * inv_p];
+        let away = add(r, L::splat(-1.0), s.alpha);
+        let inv_norm = one / dot(away, away).sqrt().max(L::splat(1e-14));
+        let n = [away[0] * inv_norm, away[1] * inv_norm, away[2] * inv_norm]; // (3)
+
+        let p_ratio = p * L::splat(1.0 / c.p_a);
+        let root = p_ratio.sqrt();
+        let g = c.stiffness(s.g_0, s.e) * p.sqrt(); // (2)
+        let k = g * L::splat(c.k_per_g);
+        let psi = s.e - L::splat(c.e_0) + L::splat(c.lambda_c) * (p_ratio.ln() * L::splat(c.xi)).exp();
+
+        let n_zz = -(n[0] + n[1]);
+        let trace_n3 = L::splat(3.0) * n_zz * (n[0] * n[1] - n[2] * n[2]);
+        let cos3 = (L::splat(6.0_f64.sqrt()) * trace_n3).max(L::splat(-1.0)).min(one);
+        let lode = L::splat(2.0 * c.c) / (L::splat(1.0 + c.c) - L::splat(1.0 - c.c) * cos3); // (4)
+        let strength = lode * L::splat(c.m_c);
+        let root23 = (2.0_f64 / 3.0).sqrt();
+        let bound = L::splat(root23) * (strength * (psi * L::splat(-c.n_b)).exp() - L::splat(c.m)); // (5)
+        let dilatant = L::splat(root23) * (strength * (psi * L::splat(c.n_d)).exp() - L::splat(c.m));
+        let alpha_n = dot(s.alpha, n);
+
+        let fabric = dot(s.z, n).max(zero);
+        let full = L::splat(c.a_0) * (one + fabric) * (dilatant - alpha_n); // (7)
+        let y = (p * L::splat(1.0 / c.p_t)).min(one);
+        let faded = full * y * y * (L::splat(3.0) - (y + y));
+        let d = L::select(L::lt(zero, full), faded, full);
+
+        let shape = L::splat((1.0 - c.c) / c.c) * lode;
+        let b = one + L::splat(1.5) * shape * cos3; // (9)
+        let cc = L::splat(3.0 * 1.5_f64.sqrt()) * shape;
+        let xy2 = n[2] * n[2];
+        let third = L::splat(1.0 / 3.0);
+        let flow = [
+            b * n[0] - cc * (n[0] * n[0] + xy2 - third),
+            b * n[1] - cc * (n[1] * n[1] + xy2 - third),
+            b * n[2] - cc * (n[2] * (n[0] + n[1])),
+        ];
+        let n_r = dot(n, r);
+        let turned = dot(add(s.alpha, L::splat(-1.0), s.alpha_in), n);
+        let reversed = L::lt(turned, zero);
+        let x = turned.max(zero);
+        let b_0 = s.g_0 * L::splat(c.h_0) * (one - L::splat(c.c_h) * s.e) / root; // (6)
+        let two_third_b0 = L::splat(2.0 / 3.0) * b_0;
+        let resist = (g + g) * (b - cc * trace_n3) - k * d * n_r;
+        let stiff = two_third_b0 * p * (bound - alpha_n) + x * resist; // (10) times x
+        let floor = x * g * L::splat(0.02) + L::splat(1e-9) * g;
+        let denominator = stiff.max(floor);
+        let back = [
+            two_third_b0 * (bound * n[0] - s.alpha[0]),
+            two_third_b0 * (bound * n[1] - s.alpha[1]),
+            two_third_b0 * (bound * n[2] - s.alpha[2]),
+        ];
+        (Self { g, k, n, n_r, flow, d, x, denominator, back }, reversed)
+    }
+
+    /// ⟨L⟩/x of (10) for a strain increment (deviator, volume; compression positive).
+    #[inline(always)]
+    pub fn multiplier_over_x(&self, de: Deviator<L>, dv: L) -> L {
+        (((self.g + self.g) * dot(self.n, de) - self.k * self.n_r * dv) / self.denominator).max(L::splat(0.0))
+    }
+
+    /// ∂(τ, σ'_yy)/∂(γ, ε_yy), tension positive; elastic where `plastic` does not hold.
+    #[inline(always)]
+    pub fn tangent(&self, plastic: L::Mask) -> [L; 4] {
+        let per = L::select(plastic, self.x / self.denominator, L::splat(0.0));
+        let two_g = self.g + self.g;
+        let l_gamma = per * (two_g * self.n[2]);
+        let l_eps = per * (self.k * self.n_r - two_g * self.n[1]);
+        let push = two_g * self.flow[1] + self.k * self.d;
+        [
+            self.g - two_g * l_gamma * self.flow[2],
+            -(two_g * l_eps * self.flow[2]),
+            l_gamma * push,
+            L::splat(4.0 / 3.0) * self.g + self.k + l_eps * push,
+        ]
     }
 }

@@ -1,0 +1,26 @@
+//! `flare-pipe report`: the report again, from cached results.
+
+use super::SiteArguments;
+use super::reporter::{Terminal, Verbosity};
+use super::run::publish_metrics;
+use super::workspace::Workspace;
+use crate::error::Result;
+use crate::pipeline::{self, Mode, Options};
+
+/// Rebuilds the report; everything it needs must be stored.
+///
+/// # Errors
+/// When a result it needs is not stored.
+pub fn report(arguments: &SiteArguments) -> Result<()> {
+    let workspace = Workspace::open(arguments)?;
+    let stage = vec!["report".to_string()];
+    let options = Options { only: stage.clone(), force: stage, ..Options::default() };
+    let site = workspace.site();
+    let summary = pipeline::run(&site, &workspace.graph, &options, Mode::Run, &Terminal::new(Verbosity::Quiet))?;
+    if let Some(failure) = summary.failures.into_iter().next() {
+        return Err(failure.error);
+    }
+    publish_metrics(&workspace)?;
+    println!("{}", site.dir().join("report.html").display());
+    Ok(())
+}

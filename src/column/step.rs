@@ -1,0 +1,248 @@
+//! One time increment: HHT-α, a linear predictor from the last tangent, then Newton's iteration.
+
+use super::Column;
+use crate::numerics::block_tridiagonal::BlockTridiagonal;
+use crate::soil::{Increment, Refusal, Response};
+
+/// Everything the stepper remembers; allocated once a run.
+pub(super) struct Stepper<'a> {
+    column: &'a Column,
+    /// Displacement is not needed: strains accumulate in the laws. Velocity and acceleration relative to the base.
+    velocity: Vec<[f64; 2]>,
+    pub acceleration: Vec<[f64; 2]>,
+    trial_velocity: Vec<[f64; 2]>,
+    trial_acceleration: Vec<[f64; 2]>,
+    delta: Vec<[f64; 2]>,
+    correction: Vec<[f64; 2]>,
+    /// Internal plus damping forces at the last accepted time.
+    force: Vec<[f64; 2]>,
+    trial_force: Vec<[f64; 2]>,
+    state: Vec<Vec<f64>>,
+    trial_state: Vec<Vec<f64>>,
+    increments: Vec<Increment>,
+    pub responses: Vec<Response>,
+    trial_responses: Vec<Response>,
+    /// Vertical strain since the geostatic state.
+    pub eps_yy: Vec<f64>,
+    /// Shear strain since the geostatic state.
+    pub gamma: Vec<f64>,
+    matrix: BlockTridiagonal,
+    /// Largest dynamic stress so far: the scale of the residual.
+    scale_pa: f64,
+}
+
+/// Why an increment must be halved.
+pub(super) enum Cut {
+    Law { element: usize, refusal: Refusal },
+    Unbalanced { node: usize, share: f64 },
+    Singular,
+}
+
+impl<'a> Stepper<'a> {
+    pub fn new(column: &'a Column, base_m_s2: f64) -> Self {
+        let mesh = &column.mesh;
+        let n = mesh.elements.len();
+        let zero = vec![[0.0; 2]; n];
+        let state: Vec<Vec<f64>> = mesh.stretches.iter().map(|s| s.start.clone()).collect();
+        let responses: Vec<Response> = mesh
+            .elements
+            .iter()
+            .map(|e| Response { tau_pa: 0.0, sigma_yy_pa: -e.vertical_pa, tangent_pa: e.elastic_pa })
+            .collect();
+        let deepest_pa = mesh.elements.last().map_or(1.0, |e| e.vertical_pa.abs());
+        Self {
+            column,
+            velocity: zero.clone(),
+            acceleration: vec![[-base_m_s2, 0.0]; n],
+            trial_velocity: zero.clone(),
+            trial_acceleration: zero.clone(),
+            delta: zero.clone(),
+            correction: zero.clone(),
+            force: zero.clone(),
+            trial_force: zero,
+            trial_state: state.clone(),
+            state,
+            increments: vec![Increment::default(); n],
+            trial_responses: responses.clone(),
+            responses,
+            eps_yy: vec![0.0; n],
+            gamma: vec![0.0; n],
+            matrix: BlockTridiagonal::new(n),
+            scale_pa: 1e-7 * deepest_pa.max(1.0),
+        }
+    }
+
+    /// Tries one increment of `dt` s ending at the base acceleration `base`; Ok(law evaluations) has been accepted, Err has
+    /// changed nothing that lasts.
+    pub fn advance(&mut self, dt: f64, base: f64) -> Result<u32, Cut> {
+        let analysis = &self.column.analysis;
+        self.delta.fill([0.0; 2]);
+        self.trial_responses.copy_from_slice(&self.responses);
+        self.increments.fill(Increment::default());
+        // Predictor: the step solved with the tangent and stress of the last accepted state.
+        self.assemble(dt);
+        self.residual(dt, base);
+        self.correct()?;
+        for iteration in 1..=analysis.max_iterations {
+            self.evaluate()?;
+            let (node, size) = self.residual(dt, base);
+            let share = size / self.scale_pa;
+            if share <= analysis.tolerance {
+                self.accept();
+                return Ok(iteration);
+            }
+            if !share.is_finite() || iteration == analysis.max_iterations {
+                return Err(Cut::Unbalanced { node, share });
+            }
+            self.assemble(dt);
+            self.correct()?;
+        }
+        Err(Cut::Unbalanced { node: 0, share: f64::INFINITY })
+    }
+
+    /// The effective tangent of the step.
+    fn assemble(&mut self, dt: f64) {
+        let mesh = &self.column.mesh;
+        let hht = 1.0 + self.column.analysis.hht_alpha;
+        let (beta, gamma) = newmark(self.column.analysis.hht_alpha);
+        let c_mass = 1.0 / (beta * dt * dt);
+        let c_rate = gamma / (beta * dt);
+        let m = &mut self.matrix;
+        for ((d, mass), damping) in m.diagonal.iter_mut().zip(&mesh.mass).zip(&mesh.mass_damping) {
+            let x = mass * c_mass + hht * c_rate * damping;
+            *d = [x, 0.0, 0.0, x];
+        }
+        let n = mesh.elements.len();
+        for (i, (element, response)) in mesh.elements.iter().zip(&self.trial_responses).enumerate() {
+            let t = response.tangent_pa;
+            let viscous = c_rate * element.beta_s;
+            let f = hht / element.height_m;
+            let k = [
+                f * (t[0] + viscous * element.elastic_pa[0]),
+                f * t[1],
+                f * t[2],
+                f * (t[3] + element.pore_pa + viscous * element.elastic_pa[3]),
+            ];
+            for (d, k) in m.diagonal[i].iter_mut().zip(k) {
+                *d += k;
+            }
+            if i + 1 < n {
+                for (d, k) in m.diagonal[i + 1].iter_mut().zip(k) {
+                    *d += k;
+                }
+                m.upper[i] = k.map(|k| -k);
+                m.lower[i + 1] = m.upper[i];
+            }
+        }
+        if mesh.is_restrained {
+            for block in m.lower.iter_mut().chain(&mut m.upper) {
+                *block = [block[0], 0.0, 0.0, 0.0];
+            }
+            for d in &mut m.diagonal {
+                *d = [d[0], 0.0, 0.0, 1.0];
+            }
+        }
+    }
+
+    /// Solves for a correction of the displacement increment and derives the strain increments.
+    fn correct(&mut self) -> Result<(), Cut> {
+        if !self.matrix.solve(&mut self.correction) {
+            return Err(Cut::Singular);
+        }
+        for (d, c) in self.delta.iter_mut().zip(&self.correction) {
+            d[0] -= c[0];
+            d[1] -= c[1];
+        }
+        let n = self.delta.len();
+        for (i, (element, increment)) in self.column.mesh.elements.iter().zip(&mut self.increments).enumerate() {
+            let below = if i + 1 < n { self.delta[i + 1] } else { [0.0; 2] };
+            increment.gamma = (below[0] - self.delta[i][0]) / element.height_m;
+            increment.eps_yy = (below[1] - self.delta[i][1]) / element.height_m;
+        }
+        Ok(())
+    }
+
+    /// Calls the laws with the present strain increments.
+    fn evaluate(&mut self) -> Result<(), Cut> {
+        for ((stretch, old), new) in self.column.mesh.stretches.iter().zip(&self.state).zip(&mut self.trial_state) {
+            let range = stretch.elements.clone();
+            stretch
+                .law
+                .update_all(&self.increments[range.clone()], old, new, &mut self.trial_responses[range.clone()])
+                .map_err(|(i, refusal)| Cut::Law { element: range.start + i, refusal })?;
+        }
+        Ok(())
+    }
+
+    /// Writes the unbalanced tractions to `correction`; (node, size) of the largest.
+    fn residual(&mut self, dt: f64, base: f64) -> (usize, f64) {
+        let mesh = &self.column.mesh;
+        let alpha = self.column.analysis.hht_alpha;
+        let (beta, gamma) = newmark(alpha);
+        let n = self.delta.len();
+        let motion = self.delta.iter().zip(&self.velocity).zip(&self.acceleration);
+        for (((d, v), a), (new_v, new_a)) in
+            motion.zip(self.trial_velocity.iter_mut().zip(&mut self.trial_acceleration))
+        {
+            for k in 0..2 {
+                new_a[k] = (d[k] / dt - v[k]) / (beta * dt) - (0.5 / beta - 1.0) * a[k];
+                new_v[k] = v[k] + dt * ((1.0 - gamma) * a[k] + gamma * new_a[k]);
+            }
+        }
+        for ((f, v), damping) in self.trial_force.iter_mut().zip(&self.trial_velocity).zip(&mesh.mass_damping) {
+            *f = [damping * v[0], damping * v[1]];
+        }
+        let mut dynamic_pa: f64 = 0.0;
+        for (i, (element, response)) in mesh.elements.iter().zip(&self.trial_responses).enumerate() {
+            let below = if i + 1 < n { self.trial_velocity[i + 1] } else { [0.0; 2] };
+            let above = self.trial_velocity[i];
+            let viscous = element.beta_s / element.height_m;
+            let eps = self.eps_yy[i] + self.increments[i].eps_yy;
+            let tau = response.tau_pa + viscous * element.elastic_pa[0] * (below[0] - above[0]);
+            let sigma = (response.sigma_yy_pa + element.vertical_pa)
+                + element.pore_pa * eps
+                + viscous * element.elastic_pa[3] * (below[1] - above[1]);
+            self.trial_force[i][0] -= tau;
+            self.trial_force[i][1] -= sigma;
+            if i + 1 < n {
+                self.trial_force[i + 1][0] += tau;
+                self.trial_force[i + 1][1] += sigma;
+            }
+            dynamic_pa = dynamic_pa.max(tau.abs());
+        }
+        if dynamic_pa.is_finite() {
+            self.scale_pa = self.scale_pa.max(dynamic_pa);
+        }
+        let (mut node, mut size) = (0, 0.0);
+        for (i, r) in self.correction.iter_mut().enumerate() {
+            let (f, old, a) = (self.trial_force[i], self.force[i], self.trial_acceleration[i]);
+            r[0] = mesh.mass[i] * (a[0] + base) + (1.0 + alpha) * f[0] - alpha * old[0];
+            r[1] = mesh.mass[i] * a[1] + (1.0 + alpha) * f[1] - alpha * old[1];
+            if mesh.is_restrained {
+                r[1] = 0.0;
+            }
+            let worst = r[0].abs().max(r[1].abs());
+            if !(worst <= size) {
+                (node, size) = (i, worst);
+            }
+        }
+        (node, size)
+    }
+
+    fn accept(&mut self) {
+        std::mem::swap(&mut self.velocity, &mut self.trial_velocity);
+        std::mem::swap(&mut self.acceleration, &mut self.trial_acceleration);
+        std::mem::swap(&mut self.force, &mut self.trial_force);
+        std::mem::swap(&mut self.state, &mut self.trial_state);
+        std::mem::swap(&mut self.responses, &mut self.trial_responses);
+        for ((eps, gamma), increment) in self.eps_yy.iter_mut().zip(&mut self.gamma).zip(&self.increments) {
+            *eps += increment.eps_yy;
+            *gamma += increment.gamma;
+        }
+    }
+}
+
+/// Newmark's (β, γ) of the HHT method.
+fn newmark(alpha: f64) -> (f64, f64) {
+    ((1.0 - alpha) * (1.0 - alpha) / 4.0, 0.5 - alpha)
+}
