@@ -16,13 +16,13 @@ pub struct Trajectory {
     pub dt_s: f64,
     /// Depth of the element centres, surface down, m.
     pub depth_m: Vec<f64>,
-    /// Base, [n_step].
+    /// Base, `[n_step]`.
     pub base_m_s2: Vec<f64>,
-    /// Element centres, row-major [n_step · n_depth].
+    /// Element centres, row-major `[n_step · n_depth]`.
     pub response_m_s2: Vec<f32>,
-    /// Surface node, [n_step].
+    /// Surface node, `[n_step]`.
     pub surface_m_s2: Vec<f64>,
-    /// Sensors by name, each [n_step].
+    /// Sensors by name, each `[n_step]`.
     pub sensors: Vec<(String, Vec<f64>)>,
     /// All entries of the metadata record.
     pub metadata: BTreeMap<String, String>,

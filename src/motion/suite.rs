@@ -40,9 +40,11 @@ pub fn case_id(number: usize) -> String {
 
 /// All motions of the suite, in case order; each depends on the seed and its own number only.
 ///
-///     a(t) = e_1(t) n_1(t) + w e_2(t) n_2(t),   then band-pass, fade, baseline, one factor to the target PGA     (1)
-///     n_k  white noise shaped by |H(f)|² = (1 + 4ζ²r²) / ((1 − r²)² + 4ζ²r²),  r = f / f_k                        (2)
-///     e_k  rises as a half cosine, stays one over the strong part, decays exponentially                          (3)
+/// ```text
+/// a(t) = e_1(t) n_1(t) + w e_2(t) n_2(t),   then band-pass, fade, baseline, one factor to the target PGA     (1)
+/// n_k  white noise shaped by |H(f)|² = (1 + 4ζ²r²) / ((1 − r²)² + 4ζ²r²),  r = f / f_k                        (2)
+/// e_k  rises as a half cosine, stays one over the strong part, decays exponentially                          (3)
+/// ```
 ///
 /// The second part starts later and is lower in frequency, so that the content moves in time as in a real record.
 ///
@@ -187,7 +189,7 @@ pub(super) mod tests {
         }
         let smallest = motions.iter().map(Motion::pga_m_s2).fold(f64::MAX, f64::min) / G_M_S2;
         let largest = motions.iter().map(Motion::pga_m_s2).fold(0.0, f64::max) / G_M_S2;
-        assert!(smallest >= 0.0075 && smallest < 0.0078 && largest > 0.109 && largest < 0.112);
+        assert!((0.0075..0.0078).contains(&smallest) && (0.109..0.112).contains(&largest), "{smallest} {largest}");
         assert_eq!((motions[0].id.as_str(), motions[99].id.as_str()), ("001", "100"));
     }
 
