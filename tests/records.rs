@@ -52,6 +52,12 @@ fn columns_are_found_by_name_in_any_order() {
 }
 
 #[test]
+fn files_of_spreadsheets_are_read() {
+    let text = format!("\u{feff}{}", "time_s,a\r\n0.00, 1.0\r\n0.01, 2.0 \r\n0.02,3\r\n\r\n");
+    assert_eq!(csv::columns(text.as_bytes(), &["a"], 1.0).unwrap().channels[0], [1.0, 2.0, 3.0]);
+}
+
+#[test]
 fn a_missing_component_is_listed_and_a_missing_event_refused() {
     let dir = tempfile::tempdir().unwrap();
     std::fs::write(dir.path().join("E1.NS.csv"), SOUND).unwrap();
