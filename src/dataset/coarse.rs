@@ -13,17 +13,17 @@ pub struct Coarse {
     pub id: String,
     /// Time step, s.
     pub dt_s: f64,
-    /// Base at the steps, [n_step].
+    /// Base at the steps, `[n_step]`.
     pub base_m_s2: Vec<f64>,
-    /// Base half a step later, [n_step − 1], taken from the finer series.
+    /// Base half a step later, `[n_step − 1]`, taken from the finer series.
     pub base_half_m_s2: Vec<f64>,
     /// Number of dense channels; zero for a record.
     pub n_dense: usize,
-    /// Dense response, [n_step · n_dense].
+    /// Dense response, `[n_step · n_dense]`.
     pub dense_m_s2: Vec<f64>,
     /// Number of sensors.
     pub n_sparse: usize,
-    /// Sensor response, [n_step · n_sparse].
+    /// Sensor response, `[n_step · n_sparse]`.
     pub sparse_m_s2: Vec<f64>,
 }
 

@@ -6,7 +6,9 @@ use serde::{Deserialize, Serialize};
 
 /// Standard deviation of each channel over the training cases; a normalised value is the value over it.
 ///
-///     x̃ = x / σ,   σ² = mean over training cases and steps of (x − x̄)²
+/// ```text
+/// x̃ = x / σ,   σ² = mean over training cases and steps of (x − x̄)²
+/// ```
 ///
 /// The mean is not subtracted: an acceleration at rest stays zero.
 ///
@@ -183,7 +185,7 @@ mod tests {
     #[test]
     fn values_come_back_in_physical_units() {
         let c = case(1.0);
-        let n = Normalisation::of(&[c.clone()]).unwrap();
+        let n = Normalisation::of([&c]).unwrap();
         let back = n.dense_to_m_s2(&n.dense(&c.dense_m_s2));
         assert!(back.iter().zip(&c.dense_m_s2).all(|(a, b)| (a - b).abs() < 1e-6));
         let back = n.sparse_to_m_s2(&n.sparse(&c.sparse_m_s2));

@@ -18,12 +18,14 @@ impl Observation {
 
 /// Rows of C: linear interpolation between adjacent channels, the nearest channel beyond the first and the last.
 ///
-///     a_s = C a_d
+/// ```text
+/// a_s = C a_d
+/// ```
 ///
 /// | symbol | argument        | shape       | unit |
 /// |--------|-----------------|-------------|------|
-/// |        | channel_depth_m | [n_channel] | m    |
-/// |        | sensor_depth_m  | [n_sensor]  | m    |
+/// |        | channel_depth_m | `[n_channel]` | m    |
+/// |        | sensor_depth_m  | `[n_sensor]`  | m    |
 ///
 /// For a simulated step, put the surface node (depth 0) before and the base after the element centres, and every sensor
 /// lies between two channels.

@@ -3,9 +3,14 @@
 use super::message::{Base, Response, Sensors};
 use super::writer::METADATA;
 use crate::error::{Context, Error, Result};
+use mcap::records::Record;
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message;
 use std::collections::BTreeMap;
 use std::path::Path;
+
+/// Longest record that a trajectory can hold, bytes; a damaged length beyond it is refused before it is allocated.
+const MAX_RECORD_BYTES: usize = 256 << 20;
 
 /// A trajectory in memory; accelerations in m/s².
 #[derive(Debug, Clone, PartialEq)]
@@ -16,13 +21,13 @@ pub struct Trajectory {
     pub dt_s: f64,
     /// Depth of the element centres, surface down, m.
     pub depth_m: Vec<f64>,
-    /// Base, [n_step].
+    /// Base, `[n_step]`.
     pub base_m_s2: Vec<f64>,
-    /// Element centres, row-major [n_step · n_depth].
+    /// Element centres, row-major `[n_step · n_depth]`.
     pub response_m_s2: Vec<f32>,
-    /// Surface node, [n_step].
+    /// Surface node, `[n_step]`.
     pub surface_m_s2: Vec<f64>,
-    /// Sensors by name, each [n_step].
+    /// Sensors by name, each `[n_step]`.
     pub sensors: Vec<(String, Vec<f64>)>,
     /// All entries of the metadata record.
     pub metadata: BTreeMap<String, String>,
@@ -58,86 +63,135 @@ pub fn read_trajectory(path: &Path) -> Result<Trajectory> {
 }
 
 fn decode(bytes: &[u8]) -> Result<Trajectory> {
-    let unsound = || "the file is not a whole MCAP file".to_string();
-    let metadata = metadata(bytes)?;
-    let entry =
-        |key: &str| metadata.get(key).ok_or_else(|| Error::new(format!("the metadata record has no entry `{key}`")));
-    let number = |key: &str, text: &str| {
-        text.parse::<f64>()
-            .ok()
-            .filter(|v| v.is_finite())
-            .ok_or_else(|| Error::new(format!("metadata entry `{key}` holds `{text}`, a number is needed")))
-    };
-    let depth_m = listed(entry("depth_m")?).map(|text| number("depth_m", text)).collect::<Result<Vec<f64>>>()?;
-    let names: Vec<String> = listed(entry("sensors")?).map(Into::into).collect();
-    let n_step = number("n_step", entry("n_step")?)? as usize;
-    let mut t = Trajectory {
-        id: entry("id")?.clone(),
-        dt_s: number("dt_s", entry("dt_s")?)?,
-        depth_m,
-        base_m_s2: Vec::new(),
-        response_m_s2: Vec::new(),
-        surface_m_s2: Vec::new(),
-        sensors: names.into_iter().map(|name| (name, Vec::new())).collect(),
-        metadata: metadata.clone(),
-    };
-    for message in mcap::MessageStream::new(bytes).context(unsound)? {
-        let message = message.context(unsound)?;
-        let step = |n: usize| {
-            if message.sequence as usize == n { Ok(()) } else { Err(Error::new(format!("step {n} is missing"))) }
-        };
-        let undecodable = || format!("a message on `{}` cannot be decoded", message.channel.topic);
-        match message.channel.topic.as_str() {
-            "/base" => {
-                step(t.base_m_s2.len())?;
-                t.base_m_s2.push(Base::decode(&*message.data).context(undecodable)?.acceleration_m_s2);
+    let mut topics: BTreeMap<u16, String> = BTreeMap::new();
+    let mut steps = Steps::default();
+    let mut metadata = None;
+    visit(bytes, &mut |record| {
+        match record {
+            Record::Channel(channel) => {
+                topics.insert(channel.id, channel.topic);
             }
-            "/response" => {
-                step(t.surface_m_s2.len())?;
-                let response = Response::decode(&*message.data).context(undecodable)?;
-                if response.acceleration_m_s2.len() != t.depth_m.len() {
-                    return Err(Error::new(format!(
-                        "a step holds {} element accelerations, the metadata names {} depths",
-                        response.acceleration_m_s2.len(),
-                        t.depth_m.len()
-                    )));
-                }
-                t.response_m_s2.extend_from_slice(&response.acceleration_m_s2);
-                t.surface_m_s2.push(response.surface_m_s2);
-            }
-            "/sensors" => {
-                let sensors = Sensors::decode(&*message.data).context(undecodable)?;
-                let same = sensors.readings.iter().map(|r| &r.name).eq(t.sensors.iter().map(|(name, _)| name));
-                if !same {
-                    return Err(Error::new("a step holds other sensors than the metadata names"));
-                }
-                for ((_, history), reading) in t.sensors.iter_mut().zip(&sensors.readings) {
-                    history.push(reading.acceleration_m_s2);
+            Record::Message { header, data } => {
+                if let Some(topic) = topics.get(&header.channel_id) {
+                    steps.push(topic, header.sequence as usize, &data)?;
                 }
             }
+            Record::Metadata(found) if found.name == METADATA => metadata = Some(found.metadata),
             _ => {}
         }
-    }
-    let sensors_differ = t.sensors.iter().any(|(_, history)| history.len() != n_step);
-    if t.base_m_s2.len() != n_step || t.surface_m_s2.len() != n_step || sensors_differ {
-        return Err(Error::new(format!("the file holds {} steps, its metadata names {n_step}", t.base_m_s2.len())));
-    }
-    Ok(t)
+        Ok(())
+    })?;
+    let missing = || Error::new(format!("the file has no metadata record `{METADATA}`"));
+    steps.into_trajectory(metadata.ok_or_else(missing)?)
 }
 
-/// Entries of a comma-separated list; none for an empty text.
-fn listed(text: &str) -> impl Iterator<Item = &str> {
-    text.split(',').filter(|part| !part.is_empty())
-}
-
-fn metadata(bytes: &[u8]) -> Result<BTreeMap<String, String>> {
+/// Hands every record to `on`, all checksums of the file verified.
+fn visit(bytes: &[u8], on: &mut dyn FnMut(Record) -> Result<()>) -> Result<()> {
     let unsound = || "the file is not a whole MCAP file".to_string();
-    let summary = mcap::Summary::read(bytes).context(unsound)?.ok_or_else(|| Error::new(unsound()))?;
-    let index = summary.metadata_indexes.iter().find(|i| i.name == METADATA);
-    let index = index.ok_or_else(|| Error::new(format!("the file has no metadata record `{METADATA}`")))?;
-    // The reader slices by these numbers, which a damaged file can make arbitrary.
-    if index.offset.checked_add(index.length).is_none_or(|end| end > bytes.len() as u64) {
-        return Err(Error::new(unsound()));
+    let mut reader = LinearReader::new_with_options(
+        LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_validate_data_section_crc(true)
+            .with_validate_summary_section_crc(true)
+            .with_check_finishes_after_end_magic(true)
+            .with_record_length_limit(MAX_RECORD_BYTES),
+    );
+    let mut rest = bytes;
+    while let Some(event) = reader.next_event() {
+        match event.context(unsound)? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (now, later) = rest.split_at(wanted.min(rest.len()));
+                reader.insert(now.len())[..now.len()].copy_from_slice(now);
+                reader.notify_read(now.len());
+                rest = later;
+            }
+            LinearReadEvent::Record { opcode, data } => on(mcap::parse_record(opcode, data).context(unsound)?)?,
+        }
     }
-    Ok(mcap::read::metadata(bytes, index).context(unsound)?.metadata)
+    Ok(())
+}
+
+/// What the messages hold, before the metadata tells whether it is all.
+#[derive(Default)]
+struct Steps {
+    base_m_s2: Vec<f64>,
+    response_m_s2: Vec<f32>,
+    surface_m_s2: Vec<f64>,
+    n_depth: usize,
+    sensors: Vec<(String, Vec<f64>)>,
+    n_sensor_step: usize,
+}
+
+impl Steps {
+    fn push(&mut self, topic: &str, step: usize, data: &[u8]) -> Result<()> {
+        let undecodable = || format!("step {step} of `{topic}` cannot be decoded");
+        let next = match topic {
+            "/base" => self.base_m_s2.len(),
+            "/response" => self.surface_m_s2.len(),
+            "/sensors" => self.n_sensor_step,
+            _ => return Ok(()),
+        };
+        if step != next {
+            return Err(Error::new(format!("step {next} of `{topic}` is missing")));
+        }
+        match topic {
+            "/base" => self.base_m_s2.push(Base::decode(data).context(undecodable)?.acceleration_m_s2),
+            "/response" => {
+                let response = Response::decode(data).context(undecodable)?;
+                let n = response.acceleration_m_s2.len();
+                if step == 0 {
+                    self.n_depth = n;
+                } else if n != self.n_depth {
+                    return Err(Error::new(format!("step {step} holds {n} depths, those before {}", self.n_depth)));
+                }
+                self.response_m_s2.extend_from_slice(&response.acceleration_m_s2);
+                self.surface_m_s2.push(response.surface_m_s2);
+            }
+            _ => {
+                let readings = Sensors::decode(data).context(undecodable)?.readings;
+                if step == 0 {
+                    self.sensors = readings.iter().map(|r| (r.name.clone(), Vec::new())).collect();
+                }
+                if !readings.iter().map(|r| &r.name).eq(self.sensors.iter().map(|(name, _)| name)) {
+                    return Err(Error::new(format!("step {step} holds other sensors than those before")));
+                }
+                for ((_, history), reading) in self.sensors.iter_mut().zip(&readings) {
+                    history.push(reading.acceleration_m_s2);
+                }
+                self.n_sensor_step += 1;
+            }
+        }
+        Ok(())
+    }
+
+    fn into_trajectory(self, metadata: BTreeMap<String, String>) -> Result<Trajectory> {
+        let entry = |key: &str| {
+            metadata.get(key).ok_or_else(|| Error::new(format!("the metadata record has no entry `{key}`")))
+        };
+        let number = |key: &str, text: &str| {
+            let value = text.parse::<f64>().ok().filter(|v| v.is_finite());
+            value.ok_or_else(|| Error::new(format!("metadata entry `{key}` holds `{text}`, a number is needed")))
+        };
+        let depths = entry("depth_m")?.split(',').filter(|text| !text.is_empty());
+        let depth_m = depths.map(|text| number("depth_m", text)).collect::<Result<Vec<f64>>>()?;
+        let n_step = number("n_step", entry("n_step")?)? as usize;
+        if [self.base_m_s2.len(), self.surface_m_s2.len(), self.n_sensor_step] != [n_step; 3] {
+            let found = self.base_m_s2.len();
+            return Err(Error::new(format!("the file holds {found} steps, its metadata names {n_step}")));
+        }
+        if n_step > 0 && self.n_depth != depth_m.len() {
+            let named = depth_m.len();
+            return Err(Error::new(format!("the file holds {} depths, its metadata names {named}", self.n_depth)));
+        }
+        Ok(Trajectory {
+            id: entry("id")?.clone(),
+            dt_s: number("dt_s", entry("dt_s")?)?,
+            depth_m,
+            base_m_s2: self.base_m_s2,
+            response_m_s2: self.response_m_s2,
+            surface_m_s2: self.surface_m_s2,
+            sensors: self.sensors,
+            metadata,
+        })
+    }
 }

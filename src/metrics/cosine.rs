@@ -2,7 +2,9 @@
 
 /// Cosine of the angle between two arrays of equal length, 1 for the same direction.
 ///
-///     c = Σ a_i b_i / (‖a‖ ‖b‖)
+/// ```text
+/// c = Σ a_i b_i / (‖a‖ ‖b‖)
+/// ```
 ///
 /// Limits: blind to a common factor; NaN when an array is empty or all zero, or the lengths differ.
 /// Check:  `parallel_is_one_and_orthogonal_is_zero`.

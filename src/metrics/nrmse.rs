@@ -4,12 +4,14 @@ use super::rms;
 
 /// NRMSE of one channel in percent of the observed RMS.
 ///
-///     NRMSE = RMS[p − a] / RMS[a] · 100 %
+/// ```text
+/// NRMSE = RMS[p − a] / RMS[a] · 100 %
+/// ```
 ///
 /// | symbol | argument | shape    | unit            |
 /// |--------|----------|----------|-----------------|
-/// | p      | pred     | [n_step] | that of `obs`   |
-/// | a      | obs      | [n_step] | any             |
+/// | p      | pred     | `[n_step]` | that of `obs`   |
+/// | a      | obs      | `[n_step]` | any             |
 ///
 /// Limits: 100 % is what a prediction of zero gets; NaN when the observation is all zero or empty, or the lengths differ.
 /// Check:  `zero_prediction_is_100_percent_and_scaling_shows`.

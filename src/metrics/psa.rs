@@ -22,15 +22,17 @@ pub fn log_periods_s() -> Vec<f64> {
 
 /// Pseudo-acceleration spectrum: peak of a damped oscillator under base acceleration, exact for piecewise linear input.
 ///
-///     ẍ + 2ξω ẋ + ω² x = −a(t),   PSA(T) = ω² max|x|,   ω = 2π/T                              (1)
-///     [x ẋ]_{i+1} = A [x ẋ]_i + B [a_i a_{i+1}],  A, B closed form in ω, ξ, dt                 (2)
+/// ```text
+/// ẍ + 2ξω ẋ + ω² x = −a(t),   PSA(T) = ω² max|x|,   ω = 2π/T                              (1)
+/// [x ẋ]_{i+1} = A [x ẋ]_i + B [a_i a_{i+1}],  A, B closed form in ω, ξ, dt                 (2)
+/// ```
 ///
 /// | symbol | argument  | shape      | unit | range   |
 /// |--------|-----------|------------|------|---------|
-/// | a      | x         | [n_step]   | m/s² |         |
+/// | a      | x         | `[n_step]`   | m/s² |         |
 /// | ξ      | damping   | scalar     | –    | 0 … < 1 |
-/// | T      | periods_s | [n_period] | s    | > 0     |
-/// | PSA    | returned  | [n_period] | m/s² |         |
+/// | T      | periods_s | `[n_period]` | s    | > 0     |
+/// | PSA    | returned  | `[n_period]` | m/s² |         |
 ///
 /// Limits: the peak is sought within the record only, not in the free vibration after it; an input coarser than 0.005 s or
 /// a twentieth of the shortest period is first interpolated (band-limited), which cannot restore what the sampling lost.
@@ -46,7 +48,9 @@ pub fn psa(x: &[f64], dt_s: f64, damping: f64, periods_s: &[f64]) -> Vec<f64> {
 
 /// Root mean square of the natural-log ratio of two spectra at equal periods.
 ///
-///     e = √( mean_T [ ln PSA_p(T) − ln PSA_a(T) ]² )
+/// ```text
+/// e = √( mean_T [ ln PSA_p(T) − ln PSA_a(T) ]² )
+/// ```
 ///
 /// Limits: NaN when an ordinate is not positive or the lengths differ; 0.1 is about 10 %.
 /// Check:  `a_constant_factor_is_its_logarithm`.

@@ -2,7 +2,9 @@
 
 /// Coefficient of determination of one series.
 ///
-///     R² = 1 − Σ (a − p)² / Σ (a − ā)²
+/// ```text
+/// R² = 1 − Σ (a − p)² / Σ (a − ā)²
+/// ```
 ///
 /// Limits: 1 is perfect, 0 what the mean gets, negative is worse than the mean; NaN for a constant or empty observation.
 /// Check:  `the_mean_scores_zero_and_the_truth_one`.

@@ -4,7 +4,9 @@ use super::rms;
 
 /// Absolute error at each time in percent of the observed RMS.
 ///
-///     e(t) = |p(t) − a(t)| / RMS[a] · 100 %
+/// ```text
+/// e(t) = |p(t) − a(t)| / RMS[a] · 100 %
+/// ```
 ///
 /// Limits: all NaN when the observation is all zero; compares the common leading samples.
 /// Check:  `root_mean_square_of_the_timewise_error_is_the_nrmse`.

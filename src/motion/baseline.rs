@@ -4,7 +4,9 @@ use crate::numerics::{filter, integrate};
 
 /// Makes velocity and displacement end at zero, exactly for a piecewise linear acceleration that starts at zero.
 ///
-///     a ← a − w(t) (c₀ + c₁ τ),   τ = 2t/T − 1,   v(T) = d(T) = 0                              (1)
+/// ```text
+/// a ← a − w(t) (c₀ + c₁ τ),   τ = 2t/T − 1,   v(T) = d(T) = 0                              (1)
+/// ```
 ///
 /// with `w` a window that is one but for `ramp_s` at each end, where it falls to zero, so that the ends stay at zero.
 ///

@@ -80,11 +80,11 @@ impl MotionSettings {
         if !within(self.duration_s, 4.0, 600.0) {
             say("duration_s", format!("`duration_s` must be in 4…600 s, got {}", self.duration_s));
         }
-        if !within(self.low_hz, 0.05, 5.0) || self.low_hz * self.duration_s < 2.0 {
-            let least = (2.0 / self.duration_s).max(0.05);
+        if !within(self.low_hz, 0.05, 5.0) || self.low_hz * self.duration_s < 1.0 {
+            let least = (1.0 / self.duration_s).max(0.05);
             say(
                 "low_hz",
-                format!("`low_hz` must be in {least:.3}…5 Hz (two periods within the motion), got {}", self.low_hz),
+                format!("`low_hz` must be in {least:.3}…5 Hz (one period within the motion), got {}", self.low_hz),
             );
         }
         let nyquist_share = 0.4 / self.step_s;

@@ -40,9 +40,11 @@ pub fn case_id(number: usize) -> String {
 
 /// All motions of the suite, in case order; each depends on the seed and its own number only.
 ///
-///     a(t) = e_1(t) n_1(t) + w e_2(t) n_2(t),   then band-pass, fade, baseline, one factor to the target PGA     (1)
-///     n_k  white noise shaped by |H(f)|² = (1 + 4ζ²r²) / ((1 − r²)² + 4ζ²r²),  r = f / f_k                        (2)
-///     e_k  rises as a half cosine, stays one over the strong part, decays exponentially                          (3)
+/// ```text
+/// a(t) = e_1(t) n_1(t) + w e_2(t) n_2(t),   then band-pass, fade, baseline, one factor to the target PGA     (1)
+/// n_k  white noise shaped by |H(f)|² = (1 + 4ζ²r²) / ((1 − r²)² + 4ζ²r²),  r = f / f_k                        (2)
+/// e_k  rises as a half cosine, stays one over the strong part, decays exponentially                          (3)
+/// ```
 ///
 /// The second part starts later and is lower in frequency, so that the content moves in time as in a real record.
 ///
@@ -118,10 +120,10 @@ fn kanai_tajimi(r: f64, zeta: f64) -> f64 {
     ((1.0 + d) / ((1.0 - r * r).powi(2) + d)).sqrt() // (2)
 }
 
-/// One in the band, zero beyond 0.6 of its lower and 1.1 of its upper edge, half cosines between.
+/// One in the band, falling by half cosines to zero at 0.6 of its lower and at 1.1 of its upper edge.
 fn band(f_hz: f64, low_hz: f64, high_hz: f64) -> f64 {
     let edge = |x: f64| 0.5 * (1.0 - (std::f64::consts::PI * x.clamp(0.0, 1.0)).cos());
-    edge((f_hz / low_hz - 0.6) / 0.4) * edge((1.1 - f_hz / high_hz) / 0.1)
+    edge((f_hz / low_hz - 0.6) / 0.4) * edge((1.1 - f_hz / high_hz) / 0.4)
 }
 
 /// Amplitude in time: rise, strong part, exponential decay.
@@ -154,6 +156,7 @@ pub(super) mod tests {
     use crate::motion::Band;
     use crate::numerics::integrate;
     use crate::units::G_M_S2;
+    use proptest::prelude::*;
 
     pub(crate) fn lotung() -> MotionSettings {
         toml::from_str(
@@ -187,7 +190,7 @@ pub(super) mod tests {
         }
         let smallest = motions.iter().map(Motion::pga_m_s2).fold(f64::MAX, f64::min) / G_M_S2;
         let largest = motions.iter().map(Motion::pga_m_s2).fold(0.0, f64::max) / G_M_S2;
-        assert!(smallest >= 0.0075 && smallest < 0.0078 && largest > 0.109 && largest < 0.112);
+        assert!((0.0075..0.0078).contains(&smallest) && (0.109..0.112).contains(&largest), "{smallest} {largest}");
         assert_eq!((motions[0].id.as_str(), motions[99].id.as_str()), ("001", "100"));
     }
 
@@ -241,6 +244,34 @@ pub(super) mod tests {
         };
         assert_eq!(on(1), on(3));
         assert_ne!(on(1), suite(&MotionSettings { seed: 2, ..settings.clone() }).unwrap());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(40))]
+
+        #[test]
+        fn motions_of_any_sound_settings_end_at_rest(
+            seed: u64, duration_s in 4.0f64..40.0, step_s in 0.002f64..0.01, low_hz in 0.26f64..1.0, share in 0.05f64..0.8,
+        ) {
+            let settings = MotionSettings {
+                count: 1,
+                seed,
+                duration_s,
+                step_s,
+                bands: vec![Band { count: 1, min_pga_g: 0.01, max_pga_g: 0.1 }],
+                train: "1".into(),
+                validation: String::new(),
+                low_hz,
+                dominant_hz: [1.0, 5.0],
+                strong_share: [share, share],
+                ..lotung()
+            };
+            let motion = motion(&settings, 1, 0.7);
+            let (v, d) = integrate::twice(&motion.acceleration_m_s2, motion.dt_s);
+            let peak = |x: &[f64]| x.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+            prop_assert!((motion.pga_m_s2() / 0.7 - 1.0).abs() < 1e-12);
+            prop_assert!(v[v.len() - 1].abs() < 1e-9 * peak(&v) && d[d.len() - 1].abs() < 1e-9 * peak(&d));
+        }
     }
 
     #[test]

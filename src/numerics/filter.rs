@@ -8,7 +8,9 @@ use std::f64::consts::PI;
 
 /// Applies a real gain of the frequency in Hz to a series, without delay.
 ///
-///     y = F⁻¹[ g(f) F[x] ],  g real                                  (1)
+/// ```text
+/// y = F⁻¹[ g(f) F[x] ],  g real                                  (1)
+/// ```
 ///
 /// Limits: within about one period of the lowest frequency passed, the ends depend on the assumed continuation.
 /// Check:  `a_sine_in_the_pass_band_keeps_amplitude_and_phase`.
@@ -39,7 +41,9 @@ pub fn zero_phase(x: &[f64], dt_s: f64, gain: impl Fn(f64) -> f64) -> Vec<f64> {
 
 /// Low-pass of eighth order without delay (the gain of a fourth-order Butterworth filter run forth and back).
 ///
-///     g(f) = 1 / (1 + (f/f_c)⁸)
+/// ```text
+/// g(f) = 1 / (1 + (f/f_c)⁸)
+/// ```
 ///
 /// | symbol | argument  | unit | range          |
 /// |--------|-----------|------|----------------|
@@ -168,7 +172,7 @@ mod tests {
             let mut m = fast_length(n);
             assert!(m >= n && m < n + n / 4 + 2, "{n} → {m}");
             for p in [2, 3, 5] {
-                while m % p == 0 {
+                while m.is_multiple_of(p) {
                     m /= p;
                 }
             }

@@ -2,7 +2,9 @@
 
 /// Integral from the first sample, which is zero.
 ///
-///     v_{i+1} = v_i + (a_i + a_{i+1}) dt/2                           (1)
+/// ```text
+/// v_{i+1} = v_i + (a_i + a_{i+1}) dt/2                           (1)
+/// ```
 pub fn cumulative(a: &[f64], dt_s: f64) -> Vec<f64> {
     let mut v = vec![0.0; a.len()];
     for i in 1..a.len() {
@@ -13,7 +15,9 @@ pub fn cumulative(a: &[f64], dt_s: f64) -> Vec<f64> {
 
 /// First and second integral (velocity and displacement of an acceleration), exact for a piecewise linear series.
 ///
-///     d_{i+1} = d_i + v_i dt + (2 a_i + a_{i+1}) dt²/6               (2)
+/// ```text
+/// d_{i+1} = d_i + v_i dt + (2 a_i + a_{i+1}) dt²/6               (2)
+/// ```
 ///
 /// Limits: starts from rest; a constant offset of the input grows linearly and quadratically.
 /// Check:  `integrals_of_a_cubic_motion_are_exact`.

@@ -17,8 +17,10 @@ const KAISER_BETA: f64 = 10.0;
 
 /// The series at `start_s, start_s + dt_out_s, …` (`n_out` samples), band-limited for a step of `band_dt_s`.
 ///
-///     y(t) = Σ_k x_k h(t − k dt),   h(τ) = 2 f_c dt sinc(2 f_c τ) w(τ),   Σ h = 1          (1)
-///     f_c = 0.9 · 0.5 / max(dt, dt_band),   w Kaiser, β = 10
+/// ```text
+/// y(t) = Σ_k x_k h(t − k dt),   h(τ) = 2 f_c dt sinc(2 f_c τ) w(τ),   Σ h = 1          (1)
+/// f_c = 0.9 · 0.5 / max(dt, dt_band),   w Kaiser, β = 10
+/// ```
 ///
 /// | symbol  | argument  | unit | range               |
 /// |---------|-----------|------|---------------------|

@@ -191,7 +191,7 @@ impl Axis {
         // The usual step, robust against a few gaps, names the offending line rather than the first one.
         let mut steps: Vec<f64> = self.times_s.windows(2).map(|w| w[1] - w[0]).collect();
         steps.sort_by(f64::total_cmp);
-        let usual_s = steps[steps.len() / 2];
+        let usual_s = steps[(steps.len() - 1) / 2];
         let tolerance_s = self.rounding_s.max(0.01 * usual_s).min(0.3 * usual_s);
         for i in 1..n {
             let step_s = self.times_s[i] - self.times_s[i - 1];
