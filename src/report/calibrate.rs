@@ -41,7 +41,7 @@ fn matrices(stage: &Calibration) -> Markup {
         let rows: Vec<Vec<f64>> = matrix.iter().rev().cloned().collect();
         let frame = Frame {
             size: (
-                (n_column * 9.0).max(400.0).min(1300.0) + 74.0,
+                (n_column * 9.0).clamp(400.0, 1300.0) + 74.0,
                 n_row as f64 * 12.0 + if with_terms { 56.0 } else { 20.0 },
             ),
             x: Axis { label: "", range: (0.5, n_column + 0.5), log: false },

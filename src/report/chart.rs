@@ -3,16 +3,15 @@
 use std::sync::Arc;
 
 use kuva::plot::annotations::{ReferenceLine, ShadedRegion};
-use kuva::plot::colormap::ColorMap;
 use kuva::plot::scatter::MarkerShape;
-use kuva::plot::{BoxPlot, Heatmap, LinePlot, LineStyle, ScatterPlot};
+use kuva::plot::{BoxPlot, LinePlot, LineStyle, ScatterPlot};
 use kuva::render::layout::{AxisLabelOverlap, Layout, TickFormat};
 use kuva::render::plots::Plot;
 use kuva::render::render::render_multiple;
 use kuva::render::theme::Theme;
 use maud::{Markup, PreEscaped};
 
-use super::{number, svg, thin};
+use super::{bitmap, number, svg, thin};
 
 /// Record, finite elements and FLARE-T everywhere: black, vermilion, blue (Okabe and Ito), apart in lightness as well.
 pub(super) const RECORD: &str = "#1b1b1b";
@@ -105,7 +104,7 @@ fn log_ticks(range: (f64, f64)) -> TickFormat {
 }
 
 fn draw(plots: Vec<Plot>, layout: Layout, alt: &str) -> Markup {
-    PreEscaped(svg::write(&render_multiple(plots, layout), alt))
+    PreEscaped(svg::write(&render_multiple(plots, layout), "", alt))
 }
 
 /// What a figure of curves points out along x.
@@ -212,59 +211,73 @@ pub(super) struct Diverging {
 }
 
 impl Diverging {
-    const LEVELS: f64 = 16.0;
+    /// Levels on either side of white.
+    const LEVELS: i32 = 100;
 
-    /// Colour of a value, one of 33 levels; grey where there is no number.
-    pub(super) fn color(&self, value: f64) -> String {
+    /// Level of a value from −100 to 100; zero only for exactly nothing; none where there is no number.
+    fn level(&self, value: f64) -> Option<i32> {
         if !value.is_finite() {
-            return "#9aa0a6".into();
+            return None;
         }
         let share = if self.limit > 0.0 { (value.abs() / self.limit).min(1.0).powf(self.power) } else { 0.0 };
-        let level = if value == 0.0 { 0.0 } else { (share * Self::LEVELS).ceil() / Self::LEVELS };
-        let stops: [[f64; 3]; 4] = if value < 0.0 {
+        let level = (share * f64::from(Self::LEVELS)).ceil() as i32;
+        Some(if value < 0.0 { -level } else { level })
+    }
+
+    fn shade(level: i32) -> [u8; 3] {
+        let stops: [[f64; 3]; 4] = if level < 0 {
             [[255.0; 3], [146.0, 197.0, 222.0], [33.0, 102.0, 172.0], [5.0, 34.0, 80.0]]
         } else {
             [[255.0; 3], [244.0, 165.0, 130.0], [178.0, 24.0, 43.0], [84.0, 0.0, 24.0]]
         };
-        let position = level * 3.0;
+        let position = f64::from(level.abs()) / f64::from(Self::LEVELS) * 3.0;
         let lower = (position.floor() as usize).min(2);
         let mix = position - lower as f64;
-        let channel = |i: usize| (stops[lower][i] * (1.0 - mix) + stops[lower + 1][i] * mix).round() as u8;
-        format!("#{:02x}{:02x}{:02x}", channel(0), channel(1), channel(2))
+        std::array::from_fn(|i| (stops[lower][i] * (1.0 - mix) + stops[lower + 1][i] * mix).round() as u8)
+    }
+
+    /// All colours in the order of [`Self::index`], grey last.
+    fn palette() -> Vec<[u8; 3]> {
+        (-Self::LEVELS..=Self::LEVELS).map(Self::shade).chain([[154, 160, 166]]).collect()
+    }
+
+    fn index(&self, value: f64) -> u8 {
+        self.level(value).map_or(2 * Self::LEVELS + 1, |level| level + Self::LEVELS) as u8
+    }
+
+    /// Colour of a value for the colour bar.
+    pub(super) fn color(&self, value: f64) -> String {
+        let [red, green, blue] = Self::palette()[usize::from(self.index(value))];
+        format!("#{red:02x}{green:02x}{blue:02x}")
     }
 }
 
-/// A heat map `[row][column]` over the frame's ranges, first row at the bottom; `labels` name rows and columns.
+/// A heat map `[row][column]` that fills the frame's ranges, first row at the bottom.
 pub(super) fn heat(frame: &Frame, rows: &[Vec<f64>], scale: Diverging, look: HeatLook) -> Markup {
-    // kuva stretches colours over the data; here the scale is given, so each value goes back from its stretched place.
-    let finite = || rows.iter().flatten().copied().filter(|v| v.is_finite());
-    let (low, high) = (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max));
-    let span = high - low + f64::EPSILON;
-    let colors = ColorMap::Custom(Arc::new(move |t| {
-        let value = low + t * span;
-        scale.color(if value.abs() < 1e-9 * scale.limit { 0.0 } else { value })
-    }));
-    let map = Heatmap::new()
-        .with_data(rows.to_vec())
-        .with_x_range(frame.x.range.0, frame.x.range.1)
-        .with_y_range(frame.y.range.0, frame.y.range.1)
-        .with_color_map(colors);
+    let pixels: Vec<Vec<u8>> = rows.iter().map(|row| row.iter().map(|v| scale.index(*v)).collect()).collect();
     let mut layout = layout(frame).with_show_grid(false).with_x_label_overlap(AxisLabelOverlap::Allow);
+    let [left, right, top, mut bottom] = MARGINS;
     match look {
-        HeatLook::Depth => layout = layout.with_y_tick_format(TickFormat::Custom(Arc::new(|v| format!("{}", v.abs())))),
+        HeatLook::Depth => layout = layout.with_y_tick_format(TickFormat::Custom(Arc::new(|v| number::plain(v.abs())))),
         HeatLook::Matrix { row_names, column_names } => {
-            let [left, right, top, bottom] = MARGINS;
             layout =
                 layout.with_y_categories(row_names).with_tick_length(0.0).with_tick_size(9).with_x_tick_rotate(-90.0);
-            layout = match column_names {
-                Some(names) => layout.with_x_categories(names).with_force_margins_y(top, bottom),
-                None => layout.with_force_margins_y(top, top),
-            };
-            layout.suppress_x_ticks = layout.x_categories.is_none();
-            layout = layout.with_force_margins(left, right);
+            layout.suppress_x_ticks = column_names.is_none();
+            match column_names {
+                Some(names) => layout = layout.with_x_categories(names),
+                None => bottom = top,
+            }
+            layout = layout.with_force_margins_y(top, bottom);
         }
     }
-    draw(vec![map.into()], layout, &frame.alt)
+    let image = format!(
+        r#"<image x="{left}" y="{top}" width="{}" height="{}" preserveAspectRatio="none" href="{}"/>"#,
+        frame.size.0 - left - right,
+        frame.size.1 - top - bottom,
+        bitmap::data_url(&pixels, &Diverging::palette())
+    );
+    let nothing: Vec<Plot> = vec![LinePlot::new().with_data(Vec::<(f64, f64)>::new()).into()];
+    PreEscaped(svg::write(&render_multiple(nothing, layout), &image, &frame.alt))
 }
 
 /// What the axes of a heat map carry.

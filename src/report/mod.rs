@@ -6,6 +6,7 @@
 //! One file a section (`summary`, `motions`, `pretrain`, `distill`, `calibrate`, `held_out`, `scores`, `provenance`), all
 //! drawn with the few kinds of figure in `chart`; `page` puts them together.
 
+mod bitmap;
 mod calibrate;
 mod chart;
 mod check;

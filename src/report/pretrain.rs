@@ -29,7 +29,7 @@ fn fields(field: &FieldPair) -> Markup {
     let rows = |values: &[f32]| {
         let all: Vec<Vec<f64>> =
             order.iter().map(|j| values.iter().skip(*j).step_by(n_depth).map(|v| f64::from(*v)).collect()).collect();
-        thin::block_mean(&all, 64, 440)
+        thin::block_mean(&all, 128, 800)
     };
     let (fe, model) = (rows(&field.fe_m_s2), rows(&field.model_m_s2));
     let difference: Vec<Vec<f64>> =

@@ -68,7 +68,7 @@ pub(super) fn strong_part(traces: &[Trace]) -> Option<(f64, f64)> {
 }
 
 /// Record, FE and FLARE-T in the order they are drawn, thick to thin.
-fn of_models<'a, T: ?Sized>(trace: [Option<&'a T>; 3]) -> Vec<(&'a T, &'static str, f64)> {
+fn of_models<T: ?Sized>(trace: [Option<&T>; 3]) -> Vec<(&T, &'static str, f64)> {
     let pens = [(chart::RECORD, 1.5), (chart::FE, 1.0), (chart::FLARE_T, 1.0)];
     trace.into_iter().zip(pens).filter_map(|(series, (color, width))| Some((series?, color, width))).collect()
 }
