@@ -1,5 +1,6 @@
 //! The kinds of figure the report draws: curves, boxes, dots and heat maps, all in one style.
 
+use std::iter::repeat_n;
 use std::sync::Arc;
 
 use kuva::plot::annotations::{ReferenceLine, ShadedRegion};
@@ -254,7 +255,10 @@ impl Diverging {
 
 /// A heat map `[row][column]` that fills the frame's ranges, first row at the bottom.
 pub(super) fn heat(frame: &Frame, rows: &[Vec<f64>], scale: Diverging, look: HeatLook) -> Markup {
-    let pixels: Vec<Vec<u8>> = rows.iter().map(|row| row.iter().map(|v| scale.index(*v)).collect()).collect();
+    // A matrix has few cells: each gets several pixels, so that a viewer that smooths bitmaps keeps its edges.
+    let repeat = if matches!(look, HeatLook::Matrix { .. }) { 4 } else { 1 };
+    let wide = |row: &Vec<f64>| row.iter().flat_map(|v| repeat_n(scale.index(*v), repeat)).collect::<Vec<u8>>();
+    let pixels: Vec<Vec<u8>> = rows.iter().flat_map(|row| repeat_n(wide(row), repeat)).collect();
     let mut layout = layout(frame).with_show_grid(false).with_x_label_overlap(AxisLabelOverlap::Allow);
     let [left, right, top, mut bottom] = MARGINS;
     match look {
@@ -286,4 +290,31 @@ pub(super) enum HeatLook {
     Depth,
     /// Names of rows (bottom first) and, below the last matrix of a set, of columns.
     Matrix { row_names: Vec<String>, column_names: Option<Vec<String>> },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_zero_is_white_signs_differ_and_gaps_are_grey() {
+        let scale = Diverging { limit: 2.0, power: 0.5 };
+        assert_eq!(scale.color(0.0), "#ffffff");
+        assert_ne!(scale.color(1e-9), "#ffffff");
+        assert_ne!(scale.color(1e-9), scale.color(-1e-9));
+        assert_eq!(scale.color(5.0), scale.color(2.0), "beyond the limit the colour stays full");
+        assert_eq!(scale.color(f64::NAN), "#9aa0a6");
+        assert!(Diverging::palette().len() <= 256);
+    }
+
+    #[test]
+    fn boxes_fit_their_upper_whiskers_not_their_outliers() {
+        let mut values: Vec<f64> = (0..100).map(|i| 10.0 + f64::from(i) * 0.1).collect();
+        values.push(1e6);
+        values.push(f64::NAN);
+        let (low, high) = box_range([values.as_slice()], 0.0);
+        assert_eq!(low, 0.0);
+        assert!((19.9..23.0).contains(&high), "{high}");
+        assert_eq!(box_range([[].as_slice()], 26.0).1, 26.0 * 1.06);
+    }
 }
