@@ -4,7 +4,7 @@
 //! figures (inline SVG) are inside, there is no script. The same content gives the same bytes. Text is escaped throughout.
 //!
 //! One file a section (`summary`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
-//! drawn with the few kinds of figure in `chart`; `page` puts them together.
+//! drawn with the few kinds of figure in `chart` and `heat`; `page` puts them together.
 
 mod bitmap;
 mod calibrate;
@@ -13,6 +13,7 @@ mod check;
 pub mod content;
 mod distill;
 mod figure;
+mod heat;
 mod held_out;
 mod losses;
 mod motions;
