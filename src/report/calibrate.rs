@@ -2,9 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::chart::{self, Axis, Diverging, Frame, HeatLook};
+use super::chart::{Axis, Frame};
 use super::content::{Calibration, Content};
 use super::figure::{Section, color_bar, figure};
+use super::heat::{self, Diverging, HeatLook};
 use super::{losses, number};
 
 /// The section, if at least one component was calibrated.
@@ -41,7 +42,7 @@ fn matrices(stage: &Calibration) -> Markup {
         let rows: Vec<Vec<f64>> = matrix.iter().rev().cloned().collect();
         let frame = Frame {
             size: (
-                (n_column * 9.0).max(400.0).min(1300.0) + 74.0,
+                (n_column * 9.0).clamp(400.0, 1300.0) + 74.0,
                 n_row as f64 * 12.0 + if with_terms { 56.0 } else { 20.0 },
             ),
             x: Axis { label: "", range: (0.5, n_column + 0.5), log: false },
@@ -49,7 +50,7 @@ fn matrices(stage: &Calibration) -> Markup {
             alt: format!("{what}, {n_row} equations by {} library terms", stage.terms.len()),
         };
         let column_names = with_terms.then(|| stage.terms.clone());
-        chart::heat(&frame, &rows, scale, HeatLook::Matrix { row_names: names.clone(), column_names })
+        heat::heat(&frame, &rows, scale, HeatLook::Matrix { row_names: names.clone(), column_names })
     };
     let pictures = html! {
         p.panel { b { "a" } " Before (stage 1)" } (picture(&stage.before, "Coefficients before calibration", false))

@@ -1,11 +1,10 @@
-//! The kinds of figure the report draws: curves, boxes, dots and heat maps, all in one style.
+//! The kinds of figure the report draws: curves, boxes and dots, all in one style (heat maps stand in `heat`).
 
 use std::sync::Arc;
 
 use kuva::plot::annotations::{ReferenceLine, ShadedRegion};
-use kuva::plot::colormap::ColorMap;
 use kuva::plot::scatter::MarkerShape;
-use kuva::plot::{BoxPlot, Heatmap, LinePlot, LineStyle, ScatterPlot};
+use kuva::plot::{BoxPlot, LinePlot, LineStyle, ScatterPlot};
 use kuva::render::layout::{AxisLabelOverlap, Layout, TickFormat};
 use kuva::render::plots::Plot;
 use kuva::render::render::render_multiple;
@@ -62,9 +61,11 @@ pub(super) struct Dots {
     pub shape: MarkerShape,
 }
 
-const MARGINS: [f64; 4] = [62.0, 12.0, 10.0, 46.0];
+/// Left, right, top, bottom, in pixels.
+pub(super) const MARGINS: [f64; 4] = [62.0, 12.0, 10.0, 46.0];
 
-fn layout(frame: &Frame) -> Layout {
+/// The common style of all figures over a given frame.
+pub(super) fn layout(frame: &Frame) -> Layout {
     let theme = Theme {
         axis_color: "#8a8f98".into(),
         grid_color: "#e7e9ec".into(),
@@ -105,7 +106,7 @@ fn log_ticks(range: (f64, f64)) -> TickFormat {
 }
 
 fn draw(plots: Vec<Plot>, layout: Layout, alt: &str) -> Markup {
-    PreEscaped(svg::write(&render_multiple(plots, layout), alt))
+    PreEscaped(svg::write(&render_multiple(plots, layout), "", alt))
 }
 
 /// What a figure of curves points out along x.
@@ -203,74 +204,18 @@ pub(super) fn dots(frame: &Frame, clouds: &[Dots], below: &[Curve]) -> Markup {
     draw(plots, layout(frame), &frame.alt)
 }
 
-/// A diverging colour scale through white: blue for negative, red for positive, full at `±limit`.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Diverging {
-    pub limit: f64,
-    /// Colour grows with `|v|^power`: 1 is linear, ½ shows small values too.
-    pub power: f64,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl Diverging {
-    const LEVELS: f64 = 16.0;
-
-    /// Colour of a value, one of 33 levels; grey where there is no number.
-    pub(super) fn color(&self, value: f64) -> String {
-        if !value.is_finite() {
-            return "#9aa0a6".into();
-        }
-        let share = if self.limit > 0.0 { (value.abs() / self.limit).min(1.0).powf(self.power) } else { 0.0 };
-        let level = if value == 0.0 { 0.0 } else { (share * Self::LEVELS).ceil() / Self::LEVELS };
-        let stops: [[f64; 3]; 4] = if value < 0.0 {
-            [[255.0; 3], [146.0, 197.0, 222.0], [33.0, 102.0, 172.0], [5.0, 34.0, 80.0]]
-        } else {
-            [[255.0; 3], [244.0, 165.0, 130.0], [178.0, 24.0, 43.0], [84.0, 0.0, 24.0]]
-        };
-        let position = level * 3.0;
-        let lower = (position.floor() as usize).min(2);
-        let mix = position - lower as f64;
-        let channel = |i: usize| (stops[lower][i] * (1.0 - mix) + stops[lower + 1][i] * mix).round() as u8;
-        format!("#{:02x}{:02x}{:02x}", channel(0), channel(1), channel(2))
+    #[test]
+    fn boxes_fit_their_upper_whiskers_not_their_outliers() {
+        let mut values: Vec<f64> = (0..100).map(|i| 10.0 + f64::from(i) * 0.1).collect();
+        values.push(1e6);
+        values.push(f64::NAN);
+        let (low, high) = box_range([values.as_slice()], 0.0);
+        assert_eq!(low, 0.0);
+        assert!((19.9..23.0).contains(&high), "{high}");
+        assert_eq!(box_range([[].as_slice()], 26.0).1, 26.0 * 1.06);
     }
-}
-
-/// A heat map `[row][column]` over the frame's ranges, first row at the bottom; `labels` name rows and columns.
-pub(super) fn heat(frame: &Frame, rows: &[Vec<f64>], scale: Diverging, look: HeatLook) -> Markup {
-    // kuva stretches colours over the data; here the scale is given, so each value goes back from its stretched place.
-    let finite = || rows.iter().flatten().copied().filter(|v| v.is_finite());
-    let (low, high) = (finite().fold(f64::INFINITY, f64::min), finite().fold(f64::NEG_INFINITY, f64::max));
-    let span = high - low + f64::EPSILON;
-    let colors = ColorMap::Custom(Arc::new(move |t| {
-        let value = low + t * span;
-        scale.color(if value.abs() < 1e-9 * scale.limit { 0.0 } else { value })
-    }));
-    let map = Heatmap::new()
-        .with_data(rows.to_vec())
-        .with_x_range(frame.x.range.0, frame.x.range.1)
-        .with_y_range(frame.y.range.0, frame.y.range.1)
-        .with_color_map(colors);
-    let mut layout = layout(frame).with_show_grid(false).with_x_label_overlap(AxisLabelOverlap::Allow);
-    match look {
-        HeatLook::Depth => layout = layout.with_y_tick_format(TickFormat::Custom(Arc::new(|v| format!("{}", v.abs())))),
-        HeatLook::Matrix { row_names, column_names } => {
-            let [left, right, top, bottom] = MARGINS;
-            layout =
-                layout.with_y_categories(row_names).with_tick_length(0.0).with_tick_size(9).with_x_tick_rotate(-90.0);
-            layout = match column_names {
-                Some(names) => layout.with_x_categories(names).with_force_margins_y(top, bottom),
-                None => layout.with_force_margins_y(top, top),
-            };
-            layout.suppress_x_ticks = layout.x_categories.is_none();
-            layout = layout.with_force_margins(left, right);
-        }
-    }
-    draw(vec![map.into()], layout, &frame.alt)
-}
-
-/// What the axes of a heat map carry.
-pub(super) enum HeatLook {
-    /// Depth downwards: the frame's y runs over negative depths.
-    Depth,
-    /// Names of rows (bottom first) and, below the last matrix of a set, of columns.
-    Matrix { row_names: Vec<String>, column_names: Option<Vec<String>> },
 }

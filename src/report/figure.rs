@@ -2,7 +2,8 @@
 
 use maud::{Markup, PreEscaped, html};
 
-use super::chart::{self, Diverging};
+use super::chart;
+use super::heat::Diverging;
 use super::number;
 
 /// A section of the page: its anchor, its title, entries below it in the table of contents, and what it holds.
@@ -73,11 +74,26 @@ pub(super) fn color_bar(scale: Diverging, label: &str) -> Markup {
     }
 }
 
-/// Words joined as in a sentence: "a, b and c".
+/// Words joined as in a sentence, "a, b and c"; of a long list only the first six and how many more.
 pub(super) fn listed(words: &[String]) -> String {
     match words {
+        many if many.len() > 7 => format!("{} and {} more", many[..6].join(", "), many.len() - 6),
         [] => String::new(),
         [one] => one.clone(),
         [first @ .., last] => format!("{} and {last}", first.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lists_read_as_sentences_and_do_not_run_on() {
+        let words: Vec<String> = ('a'..='i').map(String::from).collect();
+        assert_eq!(listed(&words[..0]), "");
+        assert_eq!(listed(&words[..1]), "a");
+        assert_eq!(listed(&words[..3]), "a, b and c");
+        assert_eq!(listed(&words), "a, b, c, d, e, f and 3 more");
     }
 }

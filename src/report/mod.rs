@@ -3,15 +3,17 @@
 //! [`render`] turns plain data ([`content::Content`]) into one HTML document that loads nothing from elsewhere: style and
 //! figures (inline SVG) are inside, there is no script. The same content gives the same bytes. Text is escaped throughout.
 //!
-//! One file a section (`summary`, `motions`, `pretrain`, `distill`, `calibrate`, `held_out`, `scores`, `provenance`), all
-//! drawn with the few kinds of figure in `chart`; `page` puts them together.
+//! One file a section (`summary`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
+//! drawn with the few kinds of figure in `chart` and `heat`; `page` puts them together.
 
+mod bitmap;
 mod calibrate;
 mod chart;
 mod check;
 pub mod content;
 mod distill;
 mod figure;
+mod heat;
 mod held_out;
 mod losses;
 mod motions;
@@ -30,6 +32,22 @@ pub use content::Content;
 use crate::Result;
 
 /// The report as one HTML document.
+///
+/// ```
+/// use flare_pipe::report::{self, Content, content::{Pair, Score}};
+///
+/// let score = Score {
+///     event: "LSST07".into(),
+///     component: "EW".into(),
+///     sensor: "FA1-5".into(),
+///     nrmse_percent: Pair { fe: Some(61.2), flare_t: Some(38.9) },
+///     ..Score::default()
+/// };
+/// let content = Content { site: "lotung".into(), scores: vec![score], ..Content::default() };
+/// let html = report::render(&content)?;
+/// assert!(html.contains("median NRMSE 38.9 % against 61.2 % for FE"));
+/// # Ok::<(), flare_pipe::Error>(())
+/// ```
 ///
 /// # Errors
 /// If arrays that belong together differ in length (a field and its depths, two coefficient matrices, a spectrum and its

@@ -2,9 +2,10 @@
 
 use maud::{Markup, html};
 
-use super::chart::{self, Axis, Column, Diverging, Frame, HeatLook};
+use super::chart::{self, Axis, Column, Frame};
 use super::content::{Content, FieldPair, Pretrain, Sample};
 use super::figure::{Section, color_bar, figure};
+use super::heat::{self, Diverging, HeatLook};
 use super::{losses, number, thin};
 
 /// The section, if stage 1 has run.
@@ -29,7 +30,7 @@ fn fields(field: &FieldPair) -> Markup {
     let rows = |values: &[f32]| {
         let all: Vec<Vec<f64>> =
             order.iter().map(|j| values.iter().skip(*j).step_by(n_depth).map(|v| f64::from(*v)).collect()).collect();
-        thin::block_mean(&all, 64, 440)
+        thin::block_mean(&all, 128, 800)
     };
     let (fe, model) = (rows(&field.fe_m_s2), rows(&field.model_m_s2));
     let difference: Vec<Vec<f64>> =
@@ -43,7 +44,7 @@ fn fields(field: &FieldPair) -> Markup {
             y: Axis { label: "Depth (m)", range: (-lowest(&field.depth_m), 0.0), log: false },
             alt: format!("{what}, case {}: acceleration over time and depth", field.case),
         };
-        chart::heat(&frame, rows, scale, HeatLook::Depth)
+        heat::heat(&frame, rows, scale, HeatLook::Depth)
     };
     let picture_of = html! {
         p.panel { b { "a" } " Finite elements" } (picture(&fe, "Finite-element field"))
@@ -87,7 +88,7 @@ pub(super) fn sample_boxes(samples: &[Sample], band: Option<(f64, f64)>, x_label
     let at_least = band.map_or(0.0, |b| b.1);
     let wide = samples.len() > 8;
     let frame = Frame {
-        size: (if wide { 1000.0 } else { 240.0 + 90.0 * samples.len() as f64 }, 280.0),
+        size: (if wide { 1000.0 } else { 240.0 + 95.0 * samples.len() as f64 }, 280.0),
         x: Axis { label: x_label, range: (0.5, samples.len() as f64 + 0.5), log: false },
         y: Axis {
             label: "NRMSE (%)",

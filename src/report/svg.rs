@@ -1,22 +1,24 @@
 //! Compact inline SVG from a kuva scene.
 //!
-//! kuva does layout, ticks, boxes and colour maps; its own SVG writer numbers clip paths from a process-wide counter (so a
+//! kuva does layout, ticks, boxes and marks; its own SVG writer numbers clip paths from a process-wide counter (so a
 //! second rendering differs), gives no `viewBox`, and spends some 20 bytes on a coordinate. This one writes the same
-//! primitives with a `viewBox`, coordinates in tenths of a pixel, runs of equal heat-map cells merged, and no ids.
+//! primitives with a `viewBox`, coordinates in tenths of a pixel, and no ids.
 
 use std::fmt::Write as _;
 
 use kuva::render::color::Color;
 use kuva::render::render::{Primitive, Scene, TextAnchor};
 
-/// The scene as one `<svg>` element that scales with its container; `alt` describes it for who cannot see it.
-pub(super) fn write(scene: &Scene, alt: &str) -> String {
+/// The scene as one `<svg>` element that scales with its container; `alt` describes it for who cannot see it; `below` is
+/// SVG drawn first, under axes and marks.
+pub(super) fn write(scene: &Scene, below: &str, alt: &str) -> String {
     let mut out = String::new();
     let (width, height) = (scene.width.round(), scene.height.round());
     let _ =
         write!(out, r#"<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img" aria-label=""#);
     escape(&mut out, alt);
     out.push_str("\">");
+    out.push_str(below);
     let mut elements = scene.elements.iter().peekable();
     while let Some(element) = elements.next() {
         if let Primitive::Line { stroke, stroke_width, stroke_dasharray, .. } = element {
@@ -46,7 +48,6 @@ fn primitive(out: &mut String, element: &Primitive) {
             path.rectangle(*x, *y, *width, *height);
             fill_path(out, &path.d, fill, *opacity);
         }
-        Primitive::RectBatch { x, y, w, h, fills } => cells(out, x, y, w, h, fills),
         Primitive::Path(data) => {
             let fill = data.fill.as_ref().unwrap_or(&Color::None);
             let _ = write!(out, r#"<path d="{}" fill=""#, data.d);
@@ -78,40 +79,6 @@ fn primitive(out: &mut String, element: &Primitive) {
         // Groups and clips carry nothing the report uses: curves are clipped before they are drawn.
         _ => {}
     }
-}
-
-/// Heat-map cells: neighbours of one colour in a row (or in a column, whichever makes fewer pieces) become one rectangle,
-/// and all rectangles of a colour one path. Cells overlap by the half pixel kuva gives them, so that no seam shows.
-fn cells(out: &mut String, x: &[f64], y: &[f64], w: &[f64], h: &[f64], fills: &[Color]) {
-    let colors: Vec<String> = fills.iter().map(Color::to_svg_string).collect();
-    let rows: Vec<usize> = (0..fills.len()).collect();
-    let mut columns = rows.clone();
-    columns.sort_by(|a, b| x[*a].total_cmp(&x[*b]).then(y[*a].total_cmp(&y[*b])));
-    let (by_row, by_column) = (runs(&rows, y, &colors), runs(&columns, x, &colors));
-    let runs = if by_column.len() < by_row.len() { by_column } else { by_row };
-    let mut by_color: Vec<(&str, Path)> = Vec::new();
-    for run in runs {
-        let color = colors[run[0]].as_str();
-        let slot = by_color.iter().position(|(known, _)| *known == color).unwrap_or_else(|| {
-            by_color.push((color, Path::default()));
-            by_color.len() - 1
-        });
-        let low = |v: &[f64]| run.iter().map(|i| v[*i]).fold(f64::INFINITY, f64::min);
-        let high = |v: &[f64], size: &[f64]| run.iter().map(|i| v[*i] + size[*i]).fold(f64::NEG_INFINITY, f64::max);
-        let (left, top) = (low(x), low(y));
-        by_color[slot].1.rectangle(left, top, high(x, w) - left, high(y, h) - top);
-    }
-    for (color, path) in &by_color {
-        // The page is white: cells of that colour need no ink.
-        if *color != "#ffffff" {
-            fill_path(out, &path.d, &Color::from(*color), None);
-        }
-    }
-}
-
-/// Cuts `order` where the colour changes or a new line (another value of `line`) begins.
-fn runs<'a>(order: &'a [usize], line: &[f64], colors: &[String]) -> Vec<&'a [usize]> {
-    order.chunk_by(|a, b| line[*a] == line[*b] && colors[*a] == colors[*b]).collect()
 }
 
 fn dots(out: &mut String, cx: &[f64], cy: &[f64], r: f64, fill: &Color, opacity: Option<f64>) {
@@ -249,29 +216,6 @@ mod tests {
         let mut path = Path::default();
         path.polyline(&[(1.0, 2.0), (1.14, 1.96), (1.28, 1.92), (1.42, -0.5)]);
         assert_eq!(path.d, "M1 2l.1 0l.2-.1l.1-2.4");
-    }
-
-    #[test]
-    fn cells_of_one_colour_merge_along_the_better_direction_and_white_is_left_out() {
-        let (red, blue, white) = (Color::from("#ff0000"), Color::from("#0000ff"), Color::from("#ffffff"));
-        let draw = |fills: [&Color; 6]| {
-            let mut out = String::new();
-            let fills = fills.map(Clone::clone);
-            cells(
-                &mut out,
-                &[0.0, 1.0, 2.0, 0.0, 1.0, 2.0],
-                &[0.0, 0.0, 0.0, 1.0, 1.0, 1.0],
-                &[1.0; 6],
-                &[1.0; 6],
-                &fills,
-            );
-            out
-        };
-        let rows = draw([&red, &red, &red, &blue, &blue, &white]);
-        assert!(rows.contains("M0 0h3v1h-3z") && rows.contains("M0 1h2v1h-2z"), "{rows}");
-        assert_eq!(rows.matches("<path").count(), 2);
-        let columns = draw([&red, &blue, &red, &red, &blue, &red]);
-        assert!(columns.contains("M0 0h1v2h-1zM2 0h1v2h-1z") && columns.contains("M1 0h1v2h-1z"), "{columns}");
     }
 
     #[test]

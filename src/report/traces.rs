@@ -68,7 +68,7 @@ pub(super) fn strong_part(traces: &[Trace]) -> Option<(f64, f64)> {
 }
 
 /// Record, FE and FLARE-T in the order they are drawn, thick to thin.
-fn of_models<'a, T: ?Sized>(trace: [Option<&'a T>; 3]) -> Vec<(&'a T, &'static str, f64)> {
+fn of_models<T: ?Sized>(trace: [Option<&T>; 3]) -> Vec<(&T, &'static str, f64)> {
     let pens = [(chart::RECORD, 1.5), (chart::FE, 1.0), (chart::FLARE_T, 1.0)];
     trace.into_iter().zip(pens).filter_map(|(series, (color, width))| Some((series?, color, width))).collect()
 }
@@ -160,4 +160,29 @@ pub(super) fn period_range<'a>(traces: impl IntoIterator<Item = &'a Trace>) -> (
         range = (range.0.min(*period), range.1.max(*period));
     }
     if range.1 > range.0 { range } else { (0.1, 5.0) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn trace(values: Vec<f64>) -> Trace {
+        Trace { record: Some(Series { start_s: 0.0, step_s: 0.1, values }), ..Trace::default() }
+    }
+
+    #[test]
+    fn the_strong_part_holds_the_energy() {
+        let values = (0..600).map(|i| if (250..330).contains(&i) { 1.0 } else { 0.01 }).collect();
+        let (from, to) = strong_part(&[trace(values)]).unwrap();
+        assert!(from <= 25.0 && to >= 33.0 && (to - from - 10.0).abs() < 1e-9, "{from} to {to} s");
+        assert_eq!(strong_part(&[trace(vec![1.0; 150])]), None, "a short history needs no enlargement");
+    }
+
+    #[test]
+    fn a_runaway_prediction_does_not_flatten_the_record() {
+        let mut one = trace(vec![0.0, 1.0, -1.0, 0.5]);
+        assert!(!is_cut(&one));
+        one.flare_t = Some(Series { start_s: 0.0, step_s: 0.1, values: vec![0.0, 1e9, f64::NAN, 0.0] });
+        assert!(is_cut(&one) && limit(&one) <= 3.0 * 1.05);
+    }
 }
