@@ -24,6 +24,8 @@ pub struct Node {
     pub inputs: BTreeMap<String, Vec<Link>>,
     /// Node whose `manifest.toml` gives the parameters, if not the manifest of the site.
     pub manifest: Option<usize>,
+    /// Files of its output and their names in the folder of the site: `metrics.json`, of an instance `metrics.EW.json`.
+    pub publishes: Vec<(&'static str, String)>,
 }
 
 /// One output that plays a role.
@@ -77,7 +79,11 @@ impl Graph {
                     },
                 };
                 let name = instance.as_ref().map_or(typed.name.clone(), |i| format!("{}.{i}", typed.name));
-                nodes.push(Node { name, family: typed.name.clone(), instance, stage, inputs, manifest });
+                let names = stage.publishes().iter().filter(|_| typed.publish);
+                let publishes = names.map(|file| (*file, published_name(file, instance.as_deref()))).collect();
+                let node = Node { name, family: typed.name.clone(), instance, stage, inputs, manifest, publishes };
+                refuse_clash(&nodes, &node).map_err(place)?;
+                nodes.push(node);
             }
         }
         let mut edges = DiGraph::new();
@@ -178,6 +184,25 @@ impl Node {
     pub fn dependencies(&self) -> BTreeSet<usize> {
         self.inputs.values().flatten().map(|l| l.node).chain(self.manifest).collect()
     }
+}
+
+fn published_name(file: &str, instance: Option<&str>) -> String {
+    match (instance, file.rsplit_once('.')) {
+        (None, _) => file.to_string(),
+        (Some(instance), Some((stem, ending))) => format!("{stem}.{instance}.{ending}"),
+        (Some(instance), None) => format!("{file}.{instance}"),
+    }
+}
+
+/// Two stages that publish one name would overwrite each other on every run.
+fn refuse_clash(nodes: &[Node], new: &Node) -> Result<()> {
+    for (_, name) in &new.publishes {
+        if let Some(other) = nodes.iter().find(|n| n.publishes.iter().any(|(_, taken)| taken == name)) {
+            return Err(Error::new(format!("`{name}` is published by `{}` already", other.name))
+                .hint(format!("add `publish = false` to `{}` or to `{}`", other.family, new.family)));
+        }
+    }
+    Ok(())
 }
 
 fn find(stages: &[&'static dyn Stage], kind: &str) -> Result<&'static dyn Stage> {
@@ -298,7 +323,7 @@ mod tests {
         let graph = graph(
             "about = 'x'\n[[stage]]\nname = 'all'\nkind = 'join'\ninputs = { in = 'fit', one = 'fit.NS' }\n\
              [[stage]]\nname = 'fit'\nkind = 'join'\neach = 'records.components'\ninputs = { in = 'a' }\n\
-             [[stage]]\nname = 'next'\nkind = 'join'\neach = 'records.components'\ninputs = { in = 'fit' }\n\
+             [[stage]]\nname = 'next'\nkind = 'join'\neach = 'records.components'\ninputs = { in = 'fit' }\npublish = false\n\
              [[stage]]\nname = 'a'\nkind = 'number'\n",
         )
         .expect("sound");
@@ -313,6 +338,13 @@ mod tests {
         assert_eq!(graph.downstream(&BTreeSet::from([1])), BTreeSet::from([1, 3, 4]));
         assert_eq!(graph.upstream(&BTreeSet::from([4])), BTreeSet::from([0, 1, 4]));
         assert!(graph.mermaid().contains("n0 --> n1") && graph.dot().contains("n0 -> n1"));
+    }
+
+    #[test]
+    fn instances_publish_beside_each_other() {
+        assert_eq!(published_name("metrics.json", None), "metrics.json");
+        assert_eq!(published_name("site.corrected.toml", Some("EW")), "site.corrected.EW.toml");
+        assert_eq!(published_name("log", Some("EW")), "log.EW");
     }
 
     #[test]
@@ -339,6 +371,9 @@ mod tests {
             let each = message(&format!("about = 'x'\n[[stage]]\nname = 'number'\neach = '{list}'\n"));
             assert!(each.contains("must name a list of texts"), "{each}");
         }
+        let clash =
+            message("about = 'x'\n[[stage]]\nname = 'a'\nkind = 'join'\n[[stage]]\nname = 'b'\nkind = 'join'\n");
+        assert!(clash.starts_with("`value.txt` is published by `a` already\n  in stage `b`"), "{clash}");
         assert!(message("about = 'x'\n[[stage]]\nname = 'a.b'\nkind = 'number'\n").contains("must be letters"));
     }
 }
