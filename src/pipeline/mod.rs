@@ -1,10 +1,11 @@
 //! Cached, resumable stages on a directed acyclic graph; knows nothing of soil.
 //!
-//! A `Recipe` (a file of `pipelines/`) names stages and who reads whose output; a [`Graph`] is that recipe unfolded over one
+//! A [`Recipe`] (a file of `pipelines/`) names stages and who reads whose output; a [`Graph`] is that recipe unfolded over one
 //! manifest; [`run`] decides for every stage whether its output is in the [`Store`] and computes what is not. The key of an
 //! output is a hash of everything that can change it and of nothing else ([`Parts`]), so a rerun can be explained part by
 //! part. Outputs appear by fsync and rename under a lock per key: a killed run loses the work in flight, nothing more.
 
+mod change;
 mod decide;
 mod executor;
 mod files;
@@ -23,14 +24,16 @@ mod store;
 mod task;
 #[cfg(test)]
 mod toy;
+mod unfold;
 #[cfg(test)]
 mod whole_runs;
 
+pub use change::Change;
 pub use decide::{Action, Decision, Options, Reason};
 pub use files::write_if_changed;
 pub use gc::{Removed, gc};
 pub use graph::{Graph, Link, Node};
-pub use key::{Address, Change, Key, OutsideFile, Parts, content_hash};
+pub use key::{Address, Key, OutsideFile, Parts, content_hash};
 pub use lock::{Lock, Owner};
 pub use recipe::{Recipe, RecipeStage};
 pub use reporter::{Event, Reporter};

@@ -34,6 +34,14 @@ pub struct RecipeStage {
     pub each: Option<String>,
     /// A stage whose output holds `manifest.toml`, canonical, to take parameters from instead of the given manifest.
     pub manifest: Option<String>,
+    /// Whether files of its output are copied to the folder of the site; `false` for all but one of those that would share
+    /// a name.
+    #[serde(default = "yes")]
+    pub publish: bool,
+}
+
+fn yes() -> bool {
+    true
 }
 
 impl RecipeStage {

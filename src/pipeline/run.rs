@@ -145,7 +145,7 @@ impl<'a> Crew<'a> {
             let is_ready =
                 |i: &usize| board.stand[*i] == Stand::Open && nodes[*i].dependencies().into_iter().all(is_done);
             let Some(index) = (0..nodes.len()).find(is_ready) else {
-                if !board.stand.contains(&Stand::Open) {
+                if !(board.stand.contains(&Stand::Open) && board.stand.contains(&Stand::Running)) {
                     self.moved.notify_all();
                     return;
                 }
@@ -155,7 +155,7 @@ impl<'a> Crew<'a> {
             board.stand[index] = Stand::Running;
             let inputs = board.resolved.clone();
             drop(board);
-            let result = self.carry_out(index, &inputs);
+            let result = guarded(|| self.carry_out(index, &inputs));
             board = self.board();
             let name = &nodes[index].name;
             match result {

@@ -34,12 +34,11 @@ impl Site<'_> {
         Store::new(self.run_dir)
     }
 
-    /// Copies the files a node publishes to the folder of the site; of an instance as `<stem>.<instance>.<ending>`. A file
-    /// its output does not have is removed there: it would be of an earlier output.
+    /// Copies the files a node publishes to the folder of the site. One that its output does not have is removed there: it
+    /// would be of an earlier output.
     pub(super) fn publish(&self, node: &Node, entry: &Path) -> Result<()> {
-        for name in node.stage.publishes() {
-            let to = self.dir().join(published_name(name, node.instance.as_deref()));
-            let from = entry.join(name);
+        for (file, name) in &node.publishes {
+            let (from, to) = (entry.join(file), self.dir().join(name));
             if from.is_file() {
                 copy_if_changed(&from, &to)?;
             } else if to.is_file() {
@@ -47,14 +46,6 @@ impl Site<'_> {
             }
         }
         Ok(())
-    }
-}
-
-fn published_name(name: &str, instance: Option<&str>) -> String {
-    match (instance, name.rsplit_once('.')) {
-        (None, _) => name.to_string(),
-        (Some(instance), Some((stem, ending))) => format!("{stem}.{instance}.{ending}"),
-        (Some(instance), None) => format!("{name}.{instance}"),
     }
 }
 
@@ -96,16 +87,4 @@ impl Memory {
 
 fn read(path: &Path) -> BTreeMap<String, String> {
     fs::read_to_string(path).ok().and_then(|text| toml::from_str(&text).ok()).unwrap_or_default()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn instances_publish_beside_each_other() {
-        assert_eq!(published_name("metrics.json", None), "metrics.json");
-        assert_eq!(published_name("site.corrected.toml", Some("EW")), "site.corrected.EW.toml");
-        assert_eq!(published_name("log", Some("EW")), "log.EW");
-    }
 }

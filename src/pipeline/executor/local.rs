@@ -71,10 +71,11 @@ impl Ensemble<'_> {
             addresses.push(address.clone());
             distinct.entry(address.clone()).or_insert(Job { index, parts, address });
         }
+        let n_distinct = distinct.len();
         let mut jobs: Vec<Job> = distinct.into_values().filter(|job| !self.is_done(job)).collect();
         jobs.sort_by_key(|job| job.index);
-        if jobs.len() < items.len() {
-            self.progress.note(&format!("{} of {} {kind} items from the cache", items.len() - jobs.len(), items.len()));
+        if jobs.len() < n_distinct {
+            self.progress.note(&format!("{} of {n_distinct} {kind} items from the cache", n_distinct - jobs.len()));
         }
         if !jobs.is_empty() {
             self.progress.start(kind, jobs.len() as u64);
@@ -135,8 +136,12 @@ impl Ensemble<'_> {
     }
 
     fn compute_one(&self, job: &Job, _lock: Lock) -> Result<std::result::Result<(), String>> {
-        if self.is_done(job) {
-            return Ok(Ok(()));
+        match self.store.state(&job.address) {
+            State::Sound(_) if !self.is_forced => return Ok(Ok(())),
+            State::Damaged(why) => {
+                self.progress.note(&format!("`{}` is damaged ({why}) and computed again", job.address))
+            }
+            _ => {}
         }
         let draft = self.store.draft(&job.address)?;
         let start = Instant::now();
@@ -150,7 +155,7 @@ impl Ensemble<'_> {
 }
 
 /// Runs foreign work and turns a panic into an error, so that one broken item or stage does not take the others with it.
-pub(in crate::pipeline) fn guarded(work: impl FnOnce() -> Result<()>) -> Result<()> {
+pub(in crate::pipeline) fn guarded<T>(work: impl FnOnce() -> Result<T>) -> Result<T> {
     std::panic::catch_unwind(std::panic::AssertUnwindSafe(work)).unwrap_or_else(|panic| {
         let text = panic.downcast_ref::<String>().cloned();
         let text = text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string));
