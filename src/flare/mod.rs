@@ -25,6 +25,7 @@ mod mlp;
 mod model;
 mod objective;
 mod observation;
+mod poles;
 mod pretrain;
 mod resume;
 mod ridge;

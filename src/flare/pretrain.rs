@@ -5,7 +5,7 @@ use super::case::{Case, amplitude_weights};
 use super::history::History;
 use super::model::{Shape, SourceModel};
 use super::objective::{Objective, Scratch, Segment, Terms};
-use super::resume::{Best, TrainingState, fingerprint};
+use super::resume::{TrainingState, fingerprint};
 use super::settings::PretrainSettings;
 use super::start::{linear_start, oscillators};
 use super::validation::{Score, judge};
@@ -71,6 +71,11 @@ pub fn pretrain(
     };
     progress.start("pretrain", settings.epochs as u64);
     progress.advance(state.epoch as u64);
+    if state.epoch == 0 {
+        let score = judge(&state.model);
+        state.consider(score.score);
+        state.history.rows.push(row(0, &objective, &[f64::NAN; 5], &state.model, Some(score)));
+    }
     let mut scratch = Vec::new();
     while state.epoch < settings.epochs {
         let terms = epoch(&objective, train, settings, seed, &mut state, &mut scratch);
@@ -84,10 +89,9 @@ pub fn pretrain(
         let score = is_judged.then(|| judge(&state.model));
         state.history.rows.push(row(state.epoch, &objective, &terms, &state.model, score));
         if let Some(score) = score {
-            progress.note(&format!("validation {:.1} %", score.nrmse_percent));
-            if score.score < state.best.as_ref().map_or(f64::INFINITY, |b| b.score) {
-                state.best = Some(Best { score: score.score, model: state.model.clone() });
-            }
+            let fate = if score.score.is_finite() { "" } else { " (diverges)" };
+            progress.note(&format!("validation {:.1} %{fate}", score.nrmse_percent));
+            state.consider(score.score);
         }
         if let Some(dir) = checkpoint_dir
             && state.epoch.is_multiple_of(settings.validate_every * settings.checkpoint_every)

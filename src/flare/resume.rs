@@ -43,6 +43,13 @@ impl TrainingState {
         Self { epoch: 0, model, adam, best: None, history }
     }
 
+    /// Keeps the model as it stands if `score` is the lowest so far.
+    pub fn consider(&mut self, score: f64) {
+        if score < self.best.as_ref().map_or(f64::INFINITY, |b| b.score) {
+            self.best = Some(Best { score, model: self.model.clone() });
+        }
+    }
+
     /// Writes the state beside and renames it into place.
     ///
     /// # Errors
