@@ -3,7 +3,7 @@
 use super::artifact::{read_json, write_json};
 use crate::dataset::{Coarse, Index, Normalisation, pick_channels, read_trajectory};
 use crate::error::{Context, Error, Result};
-use crate::flare::{self, Case, Observation, PretrainSettings};
+use crate::flare::{self, Case, Observation};
 use crate::pipeline::{Stage, Task};
 use crate::records::Split;
 use rayon::prelude::*;
@@ -161,12 +161,4 @@ pub fn cases(folder: &Path, ids: &[String]) -> Result<Vec<Case>> {
         })
     };
     ids.iter().map(case).collect()
-}
-
-/// Settings the model's shape depends on, for stages that read only `[pretrain]`.
-///
-/// # Errors
-/// When the section is not there.
-pub fn pretrain_settings(task: &Task<'_>) -> Result<PretrainSettings> {
-    task.section("pretrain")
 }

@@ -130,7 +130,7 @@ impl Ensemble<'_> {
             for worker in workers {
                 worker.join().map_err(|_| Error::new("a thread of the ensemble stopped"))??;
             }
-            Ok(())
+            Ok::<(), Error>(())
         })?;
         Ok(failures.into_inner().unwrap_or_else(PoisonError::into_inner))
     }
