@@ -84,13 +84,15 @@ impl Truth {
     /// Settings of one event motion of peak `pga_g`; seed and duration are the event's own.
     pub(super) fn motions(&self, pga_g: f64) -> MotionSettings {
         MotionSettings {
-            count: 1,
+            // A suite has a training and a validation case; the first is the event.
+            count: 2,
             seed: self.seed,
             duration_s: 1.0,
             step_s: 0.005,
-            bands: vec![Band { count: 1, min_pga_g: pga_g, max_pga_g: pga_g }],
+            // A band must rise; the width is below the precision of the records.
+            bands: vec![Band { count: 2, min_pga_g: pga_g * (1.0 - 1e-9), max_pga_g: pga_g }],
             train: "1".into(),
-            validation: "1".into(),
+            validation: "2".into(),
             low_hz: 0.3,
             high_hz: 9.0,
             dominant_hz: self.dominant_hz,
