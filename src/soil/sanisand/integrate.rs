@@ -219,7 +219,10 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
         let miss_alpha = add(d2.alpha, L::splat(-1.0), d1.alpha);
         let stress_2 = dot(miss_s, miss_s) + L::splat(3.0) * miss_p * miss_p;
         let next_p = next.p.max(L::splat(1e-6 * c.p_a));
-        let error = half * (stress_2 / (next_p * next_p)).max(dot(miss_alpha, miss_alpha)).sqrt();
+        // Errors count as stresses over p̄ + p_t: what a vanishing p̄ makes of them is far below any equilibrium.
+        let scale = next_p + L::splat(c.p_t);
+        let alpha_2 = dot(miss_alpha, miss_alpha) * (next_p * next_p);
+        let error = half * (stress_2.max(alpha_2)).sqrt() / scale;
         let fine = L::and(L::lt(error, tolerance), L::lt(L::splat(2e-6 * c.p_a), next.p.min(middle.p)));
         let accept = L::and(fine, active);
 

@@ -154,7 +154,7 @@ impl Default for Sanisand {
             g_0: None,
             damping_ratio: 0.0,
             tolerance: 1e-5,
-            max_substeps: 200,
+            max_substeps: 2000,
         }
     }
 }
