@@ -2,4 +2,5 @@
 
 mod reference;
 mod reference_column;
+mod sanisand;
 mod support;

@@ -8,7 +8,9 @@ use std::time::Instant;
 /// The reference's column: four velocities, G₀ as given there, uniform elements.
 pub fn reference_profile() -> Profile {
     let h = 0.085;
-    let soil = |count: f64, vs: f64, g_0: f64| layer(count * h, 1900.0, vs, "sanisand", &format!("g_0 = {g_0}"));
+    let soil = |count: f64, vs: f64, g_0: f64| {
+        layer(count * h, 1900.0, vs, "sanisand", &format!("g_0 = {g_0}\np_t_in_moduli = false"))
+    };
     let layers =
         vec![soil(24.0, 120.0, 364.9), soil(47.0, 140.0, 296.9), soil(58.0, 165.0, 294.2), soil(71.0, 190.0, 308.4)];
     profile(layers, 200, 0.6, rayleigh(0.01, 1.0, 10.0))

@@ -147,7 +147,9 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
     // Elastic trial. With G = a√p̄ and K in proportion the stress path is a straight line and √p̄ is linear in strain.
     let a = c.stiffness(start.g_0, start.e);
     let b = a * L::splat(c.k_per_g);
-    let root_0 = start.p.sqrt();
+    let floor = L::splat(1e-6 * c.p_a);
+    let shift = L::splat(c.stiffness_shift);
+    let root_0 = (start.p - shift).max(floor).sqrt();
     let root_1 = (root_0 + half * b * dv).max(L::splat(1e-3));
     let mean_root = half * (root_0 + root_1);
     let ds = {
@@ -166,7 +168,7 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
     let outside = qa + qb + qb + qc;
     let plastic = L::lt(zero, outside);
     let elastic_end = State { s: add(start.s, one, ds), p: start.p + dp, e: e_end, ..start };
-    let root_end = (start.p + dp).max(L::splat(1e-6 * c.p_a)).sqrt();
+    let root_end = (start.p + dp - shift).max(floor).sqrt();
     let g_end = a * root_end;
     let elastic_tangent = [g_end, zero, zero, L::splat(4.0 / 3.0) * g_end + b * root_end];
     // A negative p̄ after the elastic part or an increment that is no number is refused.
@@ -182,7 +184,7 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
     let t_out = (disc - qb) / qa.max(L::splat(1e-300));
     let t = L::select(L::lt(zero, qb), t_in, t_out).max(zero).min(one);
     let p_cross = start.p + t * dp;
-    let beta = (t * mean_root / (half * (root_0 + p_cross.max(zero).sqrt()))).min(one);
+    let beta = (t * mean_root / (half * (root_0 + (p_cross - shift).max(floor).sqrt()))).min(one);
     let mut now = State { s: add(start.s, t, ds), p: p_cross, ..start };
     let rest = one - beta;
     let de = [rest * de[0], rest * de[1], rest * de[2]];

@@ -72,7 +72,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | state | s, p̄, α, z, α_in (xx, yy, xy), e, G₀ | [15] | Pa, – |
 ///
 /// Conventions: without `g_0`, G₀ makes G = ρVs² at each point's own geostatic stress. α and α_in start at r₀ (the
-/// stress is the centre of the yield surface), z at 0. e and p̄ in (2) are the current ones. α_in moves to α when
+/// stress is the centre of the yield surface), z at 0. e and p̄ in (2) are the current ones; `p_t_in_moduli = false` takes p' there. α_in moves to α when
 /// (α−α_in):n < 0. (10) is evaluated with numerator and denominator multiplied by (α−α_in):n, which takes the
 /// singularity out of (6): right after a reversal the response is elastic, without a cap.
 /// Contraction (D > 0) fades as x²(3−2x), x = p̄/p_t, where p' < 0, so that p̄ stays positive; (7) is untouched for p' ≥ 0.
@@ -118,6 +118,8 @@ struct Sanisand {
     c_z: f64,
     /// Residual pressure p_t / p_a.
     p_t_over_p_a: f64,
+    /// Whether p_t counts in the elastic moduli (2); some codes leave it out there alone.
+    p_t_in_moduli: bool,
     /// Bulk modulus of water, GPa (0: drained).
     k_w_gpa: f64,
     /// Elastic constant G₀; from ρVs² where absent.
@@ -150,6 +152,7 @@ impl Default for Sanisand {
             z_max: 4.0,
             c_z: 600.0,
             p_t_over_p_a: 0.05,
+            p_t_in_moduli: true,
             k_w_gpa: 2.2,
             g_0: None,
             damping_ratio: 0.0,
@@ -179,7 +182,7 @@ impl Law for Sanisand {
         let p = point.mean_pa();
         let p_bar = p + self.p_t_over_p_a * self.p_a_kpa * KPA;
         let (s_xx, s_yy) = (point.horizontal_pa - p, point.vertical_pa - p);
-        let per_g0 = self.stiffness_per_g0(self.e_ini, p_bar);
+        let per_g0 = self.stiffness_per_g0(self.e_ini, if self.p_t_in_moduli { p_bar } else { p.max(0.1 * KPA) });
         let g_0 = self.g_0.unwrap_or(point.shear_modulus_pa() / per_g0);
         let ratio = 1.5_f64.sqrt() * (2.0 * s_xx * s_xx + s_yy * s_yy).sqrt() / p_bar;
         if ratio > self.m_e {

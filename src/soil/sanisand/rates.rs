@@ -36,6 +36,8 @@ pub(super) struct Constants {
     pub p_a: f64,
     pub p_t: f64,
     pub k_per_g: f64,
+    /// What (2) subtracts from p̄.
+    pub stiffness_shift: f64,
     pub yield_radius: f64,
     pub tolerance: f64,
     pub max_substeps: u32,
@@ -61,6 +63,7 @@ impl Constants {
             p_a,
             p_t: law.p_t_over_p_a * p_a,
             k_per_g: 2.0 * (1.0 + law.nu) / (3.0 * (1.0 - 2.0 * law.nu)),
+            stiffness_shift: if law.p_t_in_moduli { 0.0 } else { law.p_t_over_p_a * p_a },
             yield_radius: (2.0_f64 / 3.0).sqrt() * law.m,
             tolerance: law.tolerance,
             max_substeps: law.max_substeps,
@@ -123,7 +126,7 @@ impl<L: Lane> Rates<L> {
 
         let p_ratio = p * L::splat(1.0 / c.p_a);
         let root = p_ratio.sqrt();
-        let g = c.stiffness(s.g_0, s.e) * p.sqrt(); // (2)
+        let g = c.stiffness(s.g_0, s.e) * (p - L::splat(c.stiffness_shift)).max(L::splat(1e-6 * c.p_a)).sqrt(); // (2)
         let k = g * L::splat(c.k_per_g);
         let psi = s.e - L::splat(c.e_0) + L::splat(c.lambda_c) * (p_ratio.ln() * L::splat(c.xi)).exp();
 

@@ -1,0 +1,1 @@
+//! Linear columns on a rigid base against the exact transfer function, amplitude and phase.
