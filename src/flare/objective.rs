@@ -3,7 +3,7 @@
 //!     L = λ_rec MSE(D(z), a) + λ_roll MSE(D(ẑ), a) + λ_lat MSE(ẑ, sg z) + λ_eq MSE(ż, Θ(z,u) Ξ) + λ_1 mean|Ξ|       (1)
 //!
 //! `z` are encoded windows, `ẑ` the rollout from the first of them, `sg` holds `z` fixed, `ż` is the central difference.
-//! A batch is cut into chunks of [`LANES`] segments whatever the number of threads, and gradients are summed in chunk
+//! A batch is cut into chunks of at most [`LANES`] segments whatever the number of threads, and gradients are summed in chunk
 //! order, so the bytes do not depend on the threads. Limits: samples past a divergence count as a response predicted zero.
 
 use super::adjoint::reverse;
@@ -75,11 +75,13 @@ impl Objective<'_> {
         scratch: &mut Vec<Scratch>,
         gradient: &mut [f32],
     ) -> Terms {
-        let n_chunk = batch.len().div_ceil(LANES);
+        // chunks alike in size, and small enough to give several threads work, whatever their number
+        let per_chunk = batch.len().div_ceil(batch.len().div_ceil(LANES).max(2));
+        let n_chunk = batch.len().div_ceil(per_chunk);
         scratch.resize_with(n_chunk.max(scratch.len()), Scratch::default);
         scratch[..n_chunk]
             .par_iter_mut()
-            .zip(batch.par_chunks(LANES))
+            .zip(batch.par_chunks(per_chunk))
             .for_each(|(s, chunk)| self.chunk(parameters, chunk, n_step, batch.len(), s));
         gradient.fill(0.0);
         let mut terms = [0.0; 5];
