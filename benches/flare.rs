@@ -9,6 +9,7 @@ use flare_pipe::flare::{Case, PretrainSettings, pretrain};
 use flare_pipe::numerics::random::stream;
 use flare_pipe::progress::Quiet;
 use rand::RngExt;
+use std::f32::consts::TAU;
 use std::time::Instant;
 
 /// Smooth signals of six sources seen through a random nonlinear map.
@@ -18,8 +19,8 @@ fn cases(n_case: usize, n_step: usize, channels: usize) -> Vec<Case> {
     (0..n_case)
         .map(|id| {
             let waves: Vec<(f32, f32)> =
-                (0..6).map(|_| (0.5 + 3.0 * random.random::<f32>(), 6.28 * random.random::<f32>())).collect();
-            let source = |t: f32| waves.iter().map(move |(f, phase)| (6.28 * f * t * 0.02 + phase).sin());
+                (0..6).map(|_| (0.5 + 3.0 * random.random::<f32>(), TAU * random.random::<f32>())).collect();
+            let source = |t: f32| waves.iter().map(move |(f, phase)| (TAU * f * t * 0.02 + phase).sin());
             let channel = |t: usize, c: usize| {
                 source(t as f32).enumerate().map(|(k, s)| s * mix[k * channels + c]).sum::<f32>().tanh()
             };

@@ -1,6 +1,8 @@
 //! The stage-1 loss of a batch of segments and its gradient.
 //!
-//!     L = λ_rec MSE(D(z), a) + λ_roll MSE(D(ẑ), a) + λ_lat MSE(ẑ, sg z) + λ_eq MSE(ż, Θ(z,u) Ξ) + λ_1 mean|Ξ|       (1)
+//! ```text
+//! L = λ_rec MSE(D(z), a) + λ_roll MSE(D(ẑ), a) + λ_lat MSE(ẑ, sg z) + λ_eq MSE(ż, Θ(z,u) Ξ) + λ_1 mean|Ξ|       (1)
+//! ```
 //!
 //! `z` are encoded windows, `ẑ` the rollout from the first of them, `sg` holds `z` fixed, `ż` is the central difference.
 //! A batch is cut into chunks of at most [`LANES`] segments whatever the number of threads, and gradients are summed in chunk
@@ -9,10 +11,10 @@
 use super::adjoint::reverse;
 use super::case::Case;
 use super::integrator::{Forcing, Trajectory, rollout};
-use super::kernels::{Kernel, LANES, Lanes, dispatch};
-use super::library::{Library, accumulate_outer, transpose};
+use super::kernels::{LANES, Lanes, dispatch};
 use super::mlp::Tape;
 use super::model::Shape;
+use super::residuals::{EquationResidual, latent_residual, square_error};
 use super::settings::LossWeights;
 use rayon::prelude::*;
 
@@ -200,91 +202,6 @@ impl Objective<'_> {
                 s.terms[half] += f64::from(weight) * square_error(decoded, target, is_valid, scale) / count;
             }
         }
-    }
-}
-
-/// Sum of squared errors of one row; `decoded` becomes `scale · error`. An invalid row counts as a response of zero.
-fn square_error(decoded: &mut [f32], target: &[f32], is_valid: bool, scale: f32) -> f64 {
-    let mut sum = [0.0_f32; 8];
-    for (d, t) in decoded.chunks_mut(8).zip(target.chunks(8)) {
-        for ((s, d), t) in sum.iter_mut().zip(d).zip(t) {
-            let error = if is_valid { *d - t } else { -t };
-            *s += error * error;
-            *d = scale * error;
-        }
-    }
-    f64::from(sum.iter().sum::<f32>())
-}
-
-/// Latent error `MSE(ẑ, sg z)` over the valid samples; its cotangent is added to `dz_roll`.
-fn latent_residual(
-    r: usize,
-    z: &[Lanes],
-    rolled: &Trajectory,
-    weight: &Lanes,
-    factor: f64,
-    count: usize,
-    dz_roll: &mut [Lanes],
-) -> f64 {
-    let scale = (2.0 * factor / count as f64) as f32;
-    let mut sum = [0.0_f64; LANES];
-    for t in 0..z.len() / r {
-        for i in t * r..(t + 1) * r {
-            for lane in 0..LANES {
-                if t < rolled.valid[lane] {
-                    let error = rolled.z[i].0[lane] - z[i].0[lane];
-                    sum[lane] += f64::from(weight.0[lane] * error * error);
-                    dz_roll[i].0[lane] += scale * weight.0[lane] * error;
-                }
-            }
-        }
-    }
-    sum.iter().sum::<f64>() / count as f64
-}
-
-/// Equation error of the encoded states against the central difference; adds to `dz` and `dxi`.
-struct EquationResidual<'a> {
-    library: Library,
-    xi: &'a [f32],
-    u: &'a [Lanes],
-    z: &'a [Lanes],
-    weight: &'a Lanes,
-    inverse_count: f32,
-    factor: f32,
-    dz: &'a mut [Lanes],
-    dxi: &'a mut [Lanes],
-}
-
-impl Kernel for EquationResidual<'_> {
-    type Out = f64;
-    #[inline(always)]
-    fn run<const FMA: bool>(self) -> f64 {
-        let (r, m) = (self.library.latent, self.library.n_term());
-        let xi_t = transpose(self.xi, r);
-        let mut theta = vec![Lanes::ZERO; m];
-        let mut work = vec![Lanes::ZERO; m];
-        let mut g = vec![Lanes::ZERO; r];
-        let mut total = 0.0;
-        for t in 1..self.u.len().saturating_sub(1) {
-            let z = &self.z[t * r..(t + 1) * r];
-            self.library.terms(z, &self.u[t], &mut theta);
-            self.library.combine::<FMA>(&theta, self.xi, &mut g);
-            let mut sum = Lanes::ZERO;
-            for k in 0..r {
-                g[k].add_scaled::<FMA>(&self.z[(t + 1) * r + k], -0.5);
-                g[k].add_scaled::<FMA>(&self.z[(t - 1) * r + k], 0.5);
-                let weighted = Lanes::product(&g[k], self.weight);
-                sum.add_product::<FMA>(&g[k], &weighted);
-                g[k] = Lanes::ZERO;
-                g[k].add_scaled::<FMA>(&weighted, 2.0 * self.factor * self.inverse_count);
-                self.dz[(t + 1) * r + k].add_scaled::<FMA>(&g[k], -0.5);
-                self.dz[(t - 1) * r + k].add_scaled::<FMA>(&g[k], 0.5);
-            }
-            self.library.pull_back::<FMA>(z, &xi_t, &g, &mut work, &mut self.dz[t * r..(t + 1) * r]);
-            accumulate_outer::<FMA, 1>([&theta], [&g], r, self.dxi);
-            total += f64::from(sum.sum());
-        }
-        total * f64::from(self.inverse_count)
     }
 }
 
