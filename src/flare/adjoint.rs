@@ -2,8 +2,10 @@
 //!
 //! With λ the cotangent of `z_{t+1}` and `J_s` the Jacobian of f at stage s,
 //!
-//!     g_4 = λ/6,  g_3 = λ/3 + J_4ᵀ g_4,  g_2 = λ/3 + J_3ᵀ g_3 / 2,  g_1 = λ/6 + J_2ᵀ g_2 / 2        (1)
-//!     λ_t = ∂L/∂z_t + λ + Σ_s J_sᵀ g_s,   ∂L/∂Ξ += Σ_s θ_s g_sᵀ                                    (2)
+//! ```text
+//! g_4 = λ/6,  g_3 = λ/3 + J_4ᵀ g_4,  g_2 = λ/3 + J_3ᵀ g_3 / 2,  g_1 = λ/6 + J_2ᵀ g_2 / 2        (1)
+//! λ_t = ∂L/∂z_t + λ + Σ_s J_sᵀ g_s,   ∂L/∂Ξ += Σ_s θ_s g_sᵀ                                    (2)
+//! ```
 //!
 //! This is the exact derivative of the discrete rollout, not a discretised continuous adjoint.
 
@@ -47,9 +49,7 @@ impl Kernel for Reverse<'_> {
         let mut pulled = vec![Lanes::ZERO; r];
         let mut lambda = vec![Lanes::ZERO; r];
         for t in (1..n_step).rev() {
-            for k in 0..r {
-                add(&mut lambda[k], &self.dz[t * r + k]);
-            }
+            lambda.iter_mut().zip(&self.dz[t * r..]).for_each(|(l, d)| add(l, d));
             for lane in 0..LANES {
                 if t >= self.trajectory.valid[lane] {
                     lambda.iter_mut().for_each(|l| l.0[lane] = 0.0);
@@ -82,9 +82,7 @@ impl Kernel for Reverse<'_> {
             accumulate_outer::<FMA, 4>([0, 1, 2, 3].map(theta_of), [0, 1, 2, 3].map(g_of), r, self.dxi); // (2)
             std::mem::swap(&mut lambda, &mut total);
         }
-        for k in 0..r.min(self.dz.len()) {
-            add(&mut self.dz[k], &lambda[k]);
-        }
+        self.dz.iter_mut().zip(&lambda).for_each(|(d, l)| add(d, l));
     }
 }
 
@@ -165,17 +163,17 @@ mod tests {
             down[i] -= 1e-6;
             (f(&up) - f(&down)) / 2e-6
         };
-        for i in 0..xi.len() {
+        for (i, d) in dxi.iter().enumerate() {
             let exact = slope(&xi, i, &|xi| value(r, xi, &z0, &u, &u_half, &weight));
             assert!(
-                (f64::from(dxi[i].sum()) - exact).abs() < 2e-5 * (1.0 + exact.abs()),
+                (f64::from(d.sum()) - exact).abs() < 2e-5 * (1.0 + exact.abs()),
                 "coefficient {i}: {} {exact}",
-                dxi[i].sum()
+                d.sum()
             );
         }
-        for i in 0..r {
+        for (i, d) in dz[..r].iter().enumerate() {
             let exact = slope(&z0, i, &|z0| value(r, &xi, z0, &u, &u_half, &weight));
-            assert!((f64::from(dz[i].0[lane]) - exact).abs() < 2e-5 * (1.0 + exact.abs()), "initial state {i}");
+            assert!((f64::from(d.0[lane]) - exact).abs() < 2e-5 * (1.0 + exact.abs()), "initial state {i}");
         }
     }
 }

@@ -1,27 +1,23 @@
 //! Stage 3: the latent equations corrected by records, everything else held.
 //!
-//!     Ξ = Ξ₀ + ΔΞ,   L = mean ((C D(ẑ) − a_s)/σ_s)² + λ_Δ · mean_k |Δξ_k|²/|ξ₀_k|²                             (1)
+//! ```text
+//! Ξ = Ξ₀ + ΔΞ,   L = mean ((C D(ẑ) − a_s)/σ_s)² + λ_Δ · mean_k |Δξ_k|²/|ξ₀_k|²                             (1)
+//! ```
 //!
 //! `ẑ` is the complete rollout from the sparse encoder's state at the end of the first window, `k` counts the latent
 //! equations. Selection is by the complete-rollout error of the validation events; a candidate that diverges on one of
 //! them cannot be selected. Called once for each component.
 
 use super::adam::{Adam, cosine};
-use super::adjoint::reverse;
-use super::case::{Event, amplitude_weights};
+use super::case::Event;
+use super::events::{Reader, Records};
 use super::history::History;
-use super::integrator::{Forcing, Trajectory, rollout};
-use super::kernels::{LANES, Lanes};
-use super::mlp::{Mlp, Tape};
 use super::model::{SourceModel, SparseEncoder};
-use super::objective::{from_lanes, to_lanes};
 use super::observation::Observation;
 use super::pretrain::thresholds_after;
-use super::rollout::{Start, load_group};
 use super::settings::CalibrateSettings;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
-use rayon::prelude::*;
 
 /// Longest gradient an optimiser step may follow.
 const CLIP: f64 = 10.0;
@@ -137,124 +133,6 @@ fn check(
     Ok(())
 }
 
-/// `C D` as one network: the observation matrix folded into the decoder's last layer.
-struct Reader<'a> {
-    model: &'a SourceModel,
-    network: Mlp,
-    parameters: Vec<f32>,
-}
-
-impl<'a> Reader<'a> {
-    fn new(model: &'a SourceModel, observation: &Observation) -> Self {
-        let decoder = model.shape.decoder();
-        let matrix = observation.normalised_matrix();
-        let (n_channel, n_sensor) = (model.shape.channels, observation.n_sensor());
-        let network = Mlp::new(model.shape.latent, &model.shape.decoder_hidden, n_sensor, model.shape.has_linear_path);
-        let last = decoder.widths.len() - 2;
-        let mut parameters = Vec::with_capacity(network.n_parameter());
-        for tensor in decoder.tensors() {
-            let values = &model.decoder_parameters()[tensor.range.clone()];
-            if tensor.name.starts_with(&format!("{last}.")) || tensor.name.starts_with("linear.") {
-                let n = values.len() / n_channel;
-                for row in matrix.chunks_exact(n_channel) {
-                    parameters.extend((0..n).map(|j| (0..n_channel).map(|c| row[c] * values[c * n + j]).sum::<f32>()));
-                }
-            } else {
-                parameters.extend_from_slice(values);
-            }
-        }
-        debug_assert_eq!(parameters.len(), network.n_parameter());
-        debug_assert_eq!(n_sensor, network.n_output());
-        Self { model, network, parameters }
-    }
-}
-
-/// Events ready to be rolled out, in groups of lanes.
-struct Records<'a> {
-    reader: &'a Reader<'a>,
-    groups: Vec<Group>,
-    bound: f32,
-    count: f64,
-}
-
-struct Group {
-    forcing: Forcing,
-    z0: Vec<Lanes>,
-    n_lane: usize,
-    target: Vec<Vec<f32>>,
-    weight: Vec<f32>,
-}
-
-impl<'a> Records<'a> {
-    fn new(encoder: &SparseEncoder, reader: &'a Reader<'a>, events: &[Event], power: f64, bound: f32) -> Self {
-        let t0 = encoder.window - 1;
-        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
-        let starting: Vec<Vec<f32>> =
-            events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
-        let starts: Vec<Start<'_>> =
-            events.iter().zip(&starting).map(|(e, z0)| Start { z0, u: &e.u[t0..], u_half: &e.u_half[t0..] }).collect();
-        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * encoder.n_sensor..].to_vec()).collect();
-        let groups = starts
-            .chunks(LANES)
-            .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
-            .map(|(starts, (target, weight))| {
-                let (forcing, z0) = load_group(reader.model.shape.latent, starts, 1.0);
-                Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
-            })
-            .collect();
-        Self { reader, groups, bound, count: targets.iter().map(Vec::len).sum::<usize>() as f64 }
-    }
-
-    /// Weighted mean squared rollout error, infinite when a rollout diverges and no gradient is asked for; with one
-    /// (overwritten) the samples past a divergence count as a response of zero.
-    fn error(&self, xi: &[f32], gradient: Option<&mut [f32]>) -> f64 {
-        let is_wanted = gradient.is_some();
-        let parts: Vec<(f64, Vec<f32>)> = self.groups.par_iter().map(|g| self.group(g, xi, is_wanted)).collect();
-        if let Some(gradient) = gradient {
-            gradient.fill(0.0);
-            parts.iter().for_each(|(_, part)| gradient.iter_mut().zip(part).for_each(|(a, b)| *a += b));
-        }
-        parts.iter().map(|(sum, _)| sum).sum()
-    }
-
-    fn group(&self, group: &Group, xi: &[f32], is_wanted: bool) -> (f64, Vec<f32>) {
-        let library = self.reader.model.shape.library();
-        let (r, n_sensor) = (library.latent, self.reader.network.n_output());
-        let n_step = group.forcing.u.len();
-        let mut trajectory = Trajectory::default();
-        rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
-        if !is_wanted && trajectory.valid != group.forcing.length {
-            return (f64::INFINITY, Vec::new());
-        }
-        let mut z = vec![0.0; group.n_lane * n_step * r];
-        from_lanes(&trajectory.z, r, n_step, &mut z);
-        let (mut tape, mut response) = (Tape::default(), Vec::new());
-        self.reader.network.forward(&self.reader.parameters, &z, &mut tape, &mut response);
-        let mut sum = 0.0;
-        for (lane, series) in response.chunks_exact_mut(n_step * n_sensor).enumerate() {
-            let scale = f64::from(group.weight[lane]) / self.count;
-            let (inside, beyond) = series.split_at_mut(group.target[lane].len());
-            beyond.fill(0.0);
-            for (i, (a, target)) in inside.iter_mut().zip(&group.target[lane]).enumerate() {
-                let is_valid = i / n_sensor < trajectory.valid[lane];
-                let error = if is_valid { *a - target } else { -target };
-                sum += scale * f64::from(error).powi(2);
-                *a = if is_valid { (2.0 * scale) as f32 * error } else { 0.0 };
-            }
-        }
-        if !is_wanted {
-            return (sum, Vec::new());
-        }
-        let mut d_z = vec![0.0; z.len()];
-        self.reader.network.backward(&self.reader.parameters, &z, &mut tape, &response, None, Some(&mut d_z));
-        let mut dz = Vec::new();
-        to_lanes(&d_z, r, n_step, group.n_lane, &mut dz);
-        let mut dxi = vec![Lanes::ZERO; xi.len()];
-        reverse(library, xi, &group.forcing, &trajectory, &mut dz, &mut dxi);
-        (sum, dxi.iter().map(Lanes::sum).collect())
-    }
-}
-
 /// `mean_k |Δξ_k|²/|ξ₀_k|²`; `factor` times its gradient is added.
 fn relative_penalty(origin: &[f32], xi: &[f32], r: usize, factor: f64, gradient: &mut [f32]) -> f64 {
     let norms = |x: &dyn Fn(usize) -> f64| -> Vec<f64> {
@@ -279,4 +157,136 @@ fn finite_or_nan(value: f64) -> f64 {
 fn cosine_similarity(a: &[f32], b: &[f32]) -> f64 {
     let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
     dot(a, b) / (dot(a, a) * dot(b, b)).sqrt().max(f64::MIN_POSITIVE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flare::mlp::Tape;
+    use crate::flare::model::Shape;
+    use crate::flare::rollout::{observe, predict};
+    use crate::flare::{DistillSettings, PretrainSettings};
+    use crate::numerics::random::stream;
+    use rand::RngExt;
+
+    fn random(n: usize, scale: f32, label: &str) -> Vec<f32> {
+        let mut random = stream(6, label);
+        (0..n).map(|_| scale * (2.0 * random.random::<f32>() - 1.0)).collect()
+    }
+
+    fn problem() -> (SourceModel, SparseEncoder, Observation) {
+        let settings = PretrainSettings {
+            latent: 3,
+            channels: 4,
+            encoder_hidden: vec![5],
+            decoder_hidden: vec![6, 5],
+            ..Default::default()
+        };
+        let shape = Shape::new(&settings);
+        let mut parameters = random(shape.decoder_range().end, 0.5, "parameters");
+        parameters[shape.coefficient_range()].iter_mut().for_each(|c| *c *= 0.2);
+        (0..3).for_each(|k| {
+            parameters[shape.library().linear_row(k) * 3 + k] -= 0.6;
+            parameters[shape.library().input_row() * 3 + k] += 0.8;
+        });
+        let mask = vec![true; shape.library().n_coefficient()];
+        let distill = DistillSettings { window: 2, hidden: vec![5], ..Default::default() };
+        let network = SparseEncoder::network(&distill, 2, 3);
+        let parameters_s = random(network.n_parameter(), 0.5, "sparse");
+        let encoder = SparseEncoder { window: 2, n_sensor: 2, network, parameters: parameters_s };
+        let observation = Observation {
+            sensors: vec!["a".into(), "b".into()],
+            channel_depth_m: vec![1.0, 2.0, 3.0, 4.0],
+            sensor_depth_m: vec![0.0, 2.3],
+            dense_std_m_s2: vec![1.0, 0.8, 0.7, 0.6],
+            sparse_std_m_s2: vec![1.1, 0.75],
+        };
+        (SourceModel { shape, parameters, mask }, encoder, observation)
+    }
+
+    fn event(n_step: usize, label: &str) -> Event {
+        let u = random(n_step, 1.0, &format!("{label} u"));
+        let u_half = random(n_step - 1, 1.0, &format!("{label} half"));
+        Event { id: label.into(), u, u_half, sparse: random(2 * n_step, 1.0, &format!("{label} sparse")) }
+    }
+
+    #[test]
+    fn the_gradient_by_the_coefficients_matches_finite_differences_for_events_of_unequal_length() {
+        let (model, encoder, observation) = problem();
+        let reader = Reader::new(&model, &observation);
+        let events: Vec<Event> = (0..10).map(|i| event(12 + 3 * i, &format!("e{i}"))).collect();
+        let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
+        let xi = model.coefficients().to_vec();
+        let mut gradient = vec![0.0; xi.len()];
+        records.error(&xi, Some(&mut gradient));
+        for i in 0..xi.len() {
+            let (mut up, mut down) = (xi.clone(), xi.clone());
+            up[i] += 2e-3;
+            down[i] -= 2e-3;
+            let slope = (records.error(&up, None) - records.error(&down, None)) / f64::from(up[i] - down[i]);
+            assert!(
+                (f64::from(gradient[i]) - slope).abs() < 1e-3 * (1.0 + slope.abs()),
+                "{i}: {} {slope}",
+                gradient[i]
+            );
+        }
+    }
+
+    #[test]
+    fn the_gradient_of_the_penalty_matches_finite_differences() {
+        let (model, ..) = problem();
+        let origin = model.coefficients();
+        let xi: Vec<f32> = origin.iter().zip(random(origin.len(), 0.1, "delta")).map(|(a, b)| a + b).collect();
+        let value = |xi: &[f32]| relative_penalty(origin, xi, 3, 0.7, &mut vec![0.0; xi.len()]);
+        let mut gradient = vec![0.0; xi.len()];
+        relative_penalty(origin, &xi, 3, 0.7, &mut gradient);
+        for i in 0..xi.len() {
+            let (mut up, mut down) = (xi.clone(), xi.clone());
+            up[i] += 1e-3;
+            down[i] -= 1e-3;
+            let slope = 0.7 * (value(&up) - value(&down)) / f64::from(up[i] - down[i]);
+            assert!((f64::from(gradient[i]) - slope).abs() < 1e-4 * (1.0 + slope.abs()));
+        }
+    }
+
+    #[test]
+    fn the_folded_decoder_reads_the_same_as_decoding_and_observing() {
+        let (model, _, observation) = problem();
+        let reader = Reader::new(&model, &observation);
+        let z = random(3 * 7, 1.0, "states");
+        let mut folded = Vec::new();
+        reader.network.forward(&reader.parameters, &z, &mut Tape::default(), &mut folded);
+        let plain = observe(&observation, &model.decode(&z));
+        assert!(folded.iter().zip(&plain).all(|(a, b)| (a - b).abs() < 1e-5));
+    }
+
+    #[test]
+    fn coefficients_changed_on_purpose_are_found_again_from_sensor_series() {
+        let (model, encoder, observation) = problem();
+        let mut truth = model.coefficients().to_vec();
+        for k in 0..3 {
+            truth[model.shape.library().linear_row(k) * 3 + k] += 0.2;
+        }
+        let events: Vec<Event> = (0..6)
+            .map(|i| {
+                let mut e = event(80, &format!("twin {i}"));
+                let response =
+                    predict(&model, &encoder, &truth, &observation, &e.sparse[..4], &e.u, &e.u_half).expect("bounded");
+                e.sparse.splice(4.., response[2..].iter().copied());
+                e
+            })
+            .collect();
+        let settings = CalibrateSettings {
+            epochs: 1500,
+            penalty: 0.0,
+            threshold_every: 0,
+            learning_rate: 2e-2,
+            ..Default::default()
+        };
+        let quiet = crate::progress::Quiet;
+        let result = calibrate(&model, &encoder, &observation, &events[..4], &events[4..], &settings, &quiet)
+            .expect("calibrates");
+        let first = result.history.column("validation").expect("column")[0];
+        assert!(result.validation_error < 0.02 * first, "{} from {first}", result.validation_error);
+    }
 }

@@ -1,6 +1,8 @@
 //! Stage 2: a sparse encoder that finds the source model's latent states from the sensors alone.
 //!
-//!     L = MSE(E_S(H_L[a_s]), E_T(H_L[a_d])), windows ending at the same sample                                  (1)
+//! ```text
+//! L = MSE(E_S(H_L[a_s]), E_T(H_L[a_d])), windows ending at the same sample                                  (1)
+//! ```
 //!
 //! Only E_S is trained; the targets are constants. The candidate with the lowest validation error (1) is kept.
 

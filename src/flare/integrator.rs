@@ -1,7 +1,9 @@
 //! Runge–Kutta rollout of the latent equations for a group of sequences side by side, bounded.
 //!
-//!     z_{t+1} = z_t + (k_1 + 2 k_2 + 2 k_3 + k_4)/6                            (1)
-//!     k_1 = f(z_t, u_t),  k_2 = f(z_t + k_1/2, u_{t+½}),  k_3 = f(z_t + k_2/2, u_{t+½}),  k_4 = f(z_t + k_3, u_{t+1})
+//! ```text
+//! z_{t+1} = z_t + (k_1 + 2 k_2 + 2 k_3 + k_4)/6                            (1)
+//! k_1 = f(z_t, u_t),  k_2 = f(z_t + k_1/2, u_{t+½}),  k_3 = f(z_t + k_2/2, u_{t+½}),  k_4 = f(z_t + k_3, u_{t+1})
+//! ```
 //!
 //! Time is counted in samples, so the step is 1 and coefficients are of order one; the model turns them into 1/s. A state
 //! beyond the bound, or no number at all, ends its lane there: what follows is held at zero and counts as not predicted.

@@ -153,11 +153,48 @@ pub fn accumulate_outer<const FMA: bool, const S: usize>(
     r: usize,
     dxi: &mut [Lanes],
 ) {
-    for (p, row) in dxi.chunks_exact_mut(r).enumerate() {
-        for (k, d) in row.iter_mut().enumerate() {
-            for s in 0..S {
-                d.add_product::<FMA>(&theta[s][p], &g[s][k]);
+    for (pair, rows) in dxi.chunks_mut(2 * r).enumerate() {
+        let p = 2 * pair;
+        let mut k = 0;
+        while k < r {
+            if rows.len() == 2 * r && k + 5 <= r {
+                outer_block::<FMA, S, 2, 5>(&theta, &g, p, k, r, rows);
+                k += 5;
+            } else if rows.len() == 2 * r {
+                outer_block::<FMA, S, 2, 1>(&theta, &g, p, k, r, rows);
+                k += 1;
+            } else {
+                outer_block::<FMA, S, 1, 1>(&theta, &g, p, k, r, rows);
+                k += 1;
             }
+        }
+    }
+}
+
+/// `P` terms by `K` equations with the sums in registers.
+#[inline(always)]
+fn outer_block<const FMA: bool, const S: usize, const P: usize, const K: usize>(
+    theta: &[&[Lanes]; S],
+    g: &[&[Lanes]; S],
+    p: usize,
+    k: usize,
+    r: usize,
+    rows: &mut [Lanes],
+) {
+    let mut sums = [[Lanes::ZERO; K]; P];
+    for s in 0..S {
+        if let (Some(theta), Some(g)) = (theta[s][p..].first_chunk::<P>(), g[s][k..].first_chunk::<K>()) {
+            for i in 0..P {
+                for j in 0..K {
+                    sums[i][j].add_product::<FMA>(&theta[i], &g[j]);
+                }
+            }
+        }
+    }
+    for i in 0..P {
+        for j in 0..K {
+            let to = &mut rows[i * r + k + j];
+            to.0.iter_mut().zip(&sums[i][j].0).for_each(|(a, b)| *a += b);
         }
     }
 }

@@ -1,6 +1,8 @@
 //! A multilayer perceptron with ELU hidden layers, an optional straight linear path, and its reverse pass.
 //!
-//!     y = W_n h_{n−1} + b_n (+ W_s x),   h_i = elu(W_i h_{i−1} + b_i),   h_0 = x
+//! ```text
+//! y = W_n h_{n−1} + b_n (+ W_s x),   h_i = elu(W_i h_{i−1} + b_i),   h_0 = x
+//! ```
 //!
 //! Parameters live in one flat slice (`W_1, b_1, …, W_n, b_n, W_s`; `W` row-major `[output · input]`), which is what the
 //! optimiser, the checkpoint and the finite-difference tests want. Products run on faer, one thread each.

@@ -2,7 +2,9 @@
 //!
 //! Each pair of states is one complex oscillator driven by the base, stepped exactly as the rollout steps it,
 //!
-//!     ζ_{t+1} = R(μ) ζ_t + g_0(μ) u_t + g_½(μ) u_{t+½} + g_1(μ) u_{t+1},   R(μ) = 1 + μ + μ²/2 + μ³/6 + μ⁴/24       (1)
+//! ```text
+//! ζ_{t+1} = R(μ) ζ_t + g_0(μ) u_t + g_½(μ) u_{t+½} + g_1(μ) u_{t+1},   R(μ) = 1 + μ + μ²/2 + μ³/6 + μ⁴/24       (1)
+//! ```
 //!
 //! and responses are linear in the states, `p ≈ D s`. For given poles μ the best D is a regression, so only the poles are
 //! searched: Levenberg–Marquardt on the projected residual, with the derivative of D left out (Kaufman).

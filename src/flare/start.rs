@@ -69,10 +69,10 @@ pub fn linear_start(model: &mut SourceModel, train: &[Case], weight: &[f32]) -> 
             (count / f64::max(power, f64::MIN_POSITIVE)).sqrt() // states of order one over all cases together
         })
         .collect();
-    let state = |case: usize, t: usize, i: usize| match raw[case].get(i / 2).map(|_| i / 2).filter(|k| *k < n_pair) {
-        Some(k) if i % 2 == 0 => strength[k] * raw[case][k][t].re,
-        Some(k) => strength[k] * raw[case][k][t].im,
-        None => 0.0,
+    let state = |case: usize, t: usize, i: usize| match raw[case].get(i / 2) {
+        Some(zeta) if i.is_multiple_of(2) => strength[i / 2] * zeta[t].re,
+        Some(zeta) => strength[i / 2] * zeta[t].im,
+        None => 0.0, // the state left over by an odd number
     };
     let q = modes.ncols();
     let (mut decoding, mut encoding) =

@@ -1,6 +1,8 @@
 //! How a candidate source model is judged: by rolling whole validation motions out, never by segments.
 //!
-//!     score = rollout + 0.25 reconstruction + 0.05 latent    (mean squared errors, weighted as in training)        (1)
+//! ```text
+//! score = rollout + 0.25 reconstruction + 0.05 latent    (mean squared errors, weighted as in training)        (1)
+//! ```
 //!
 //! A candidate that diverges on any validation motion, or on one multiplied by the stress factor, scores infinity.
 

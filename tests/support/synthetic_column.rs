@@ -7,6 +7,7 @@
 use flare_pipe::flare::{Case, Observation};
 use flare_pipe::numerics::random::stream;
 use rand::RngExt;
+use std::f64::consts::{PI, TAU};
 
 const FINE_S: f64 = 0.00125;
 const N_NODE: usize = 34;
@@ -121,7 +122,7 @@ impl Synthetic {
         let waves: Vec<(f64, f64)> = (0..n_wave)
             .map(|k| {
                 let share = (k as f64 + random.random::<f64>()) / n_wave as f64;
-                (f_low * (f_high / f_low).powf(share), 6.283 * random.random::<f64>())
+                (f_low * (f_high / f_low).powf(share), TAU * random.random::<f64>())
             })
             .collect();
         let mut a: Vec<f64> = (0..(self.duration_s / FINE_S) as usize)
@@ -129,7 +130,7 @@ impl Synthetic {
                 let t = t as f64 * FINE_S;
                 let envelope =
                     if t < rise { (t / rise).powi(2) } else { (-((t - rise - length).max(0.0)) / 1.5).exp() };
-                envelope * waves.iter().map(|(f, phase)| (6.283_185 * f * t + phase).sin()).sum::<f64>()
+                envelope * waves.iter().map(|(f, phase)| (TAU * f * t + phase).sin()).sum::<f64>()
             })
             .collect();
         let largest = a.iter().fold(0.0_f64, |m, v| m.max(v.abs()));
@@ -158,7 +159,7 @@ impl Synthetic {
         let beta = 0.0006;
         let mut slip = vec![0.0_f64; N_NODE * N_SLIDER];
         let (mut u, mut v) = (vec![0.0; N_NODE], vec![0.0; N_NODE]); // relative to the base
-        let mut response = vec![Vec::with_capacity(base.len()); N_NODE];
+        let mut response = vec![Vec::new(); N_NODE];
         for a_base in base {
             let mut stress = vec![0.0; N_NODE];
             for i in 0..N_NODE {
@@ -198,8 +199,8 @@ fn low_pass(x: &[f64]) -> Vec<f64> {
     let (half, corner) = (4 * STRIDE, 8.0 * FINE_S);
     let tap = |k: isize| {
         let t = k as f64;
-        let sinc = if k == 0 { 2.0 * corner } else { (6.283_185 * corner * t).sin() / (3.141_593 * t) };
-        sinc * (0.5 + 0.5 * (3.141_593 * t / half as f64).cos())
+        let sinc = if k == 0 { 2.0 * corner } else { (TAU * corner * t).sin() / (PI * t) };
+        sinc * (0.5 + 0.5 * (PI * t / half as f64).cos())
     };
     let taps: Vec<f64> = (-(half as isize)..=half as isize).map(tap).collect();
     // only every STRIDE/2-th sample is ever read

@@ -1,0 +1,137 @@
+//! Complete rollouts of measured events and their error by the coefficients: what the calibration minimises.
+
+use super::adjoint::reverse;
+use super::case::{Event, amplitude_weights};
+use super::integrator::{Forcing, Trajectory, rollout};
+use super::kernels::{LANES, Lanes};
+use super::mlp::{Mlp, Tape};
+use super::model::{SourceModel, SparseEncoder};
+use super::objective::{from_lanes, to_lanes};
+use super::observation::Observation;
+use super::rollout::{Start, load_group};
+use rayon::prelude::*;
+
+/// `C D` as one network: the observation matrix folded into the decoder's last layer.
+pub struct Reader<'a> {
+    model: &'a SourceModel,
+    /// The folded network.
+    pub network: Mlp,
+    /// Its parameters.
+    pub parameters: Vec<f32>,
+}
+
+impl<'a> Reader<'a> {
+    /// Folds C into the decoder of `model`.
+    pub fn new(model: &'a SourceModel, observation: &Observation) -> Self {
+        let decoder = model.shape.decoder();
+        let matrix = observation.normalised_matrix();
+        let (n_channel, n_sensor) = (model.shape.channels, observation.n_sensor());
+        let network = Mlp::new(model.shape.latent, &model.shape.decoder_hidden, n_sensor, model.shape.has_linear_path);
+        let last = decoder.widths.len() - 2;
+        let mut parameters = Vec::with_capacity(network.n_parameter());
+        for tensor in decoder.tensors() {
+            let values = &model.decoder_parameters()[tensor.range.clone()];
+            if tensor.name.starts_with(&format!("{last}.")) || tensor.name.starts_with("linear.") {
+                let n = values.len() / n_channel;
+                for row in matrix.chunks_exact(n_channel) {
+                    parameters.extend((0..n).map(|j| (0..n_channel).map(|c| row[c] * values[c * n + j]).sum::<f32>()));
+                }
+            } else {
+                parameters.extend_from_slice(values);
+            }
+        }
+        debug_assert_eq!(parameters.len(), network.n_parameter());
+        debug_assert_eq!(n_sensor, network.n_output());
+        Self { model, network, parameters }
+    }
+}
+
+/// Events ready to be rolled out, in groups of lanes.
+pub struct Records<'a> {
+    reader: &'a Reader<'a>,
+    groups: Vec<Group>,
+    bound: f32,
+    count: f64,
+}
+
+struct Group {
+    forcing: Forcing,
+    z0: Vec<Lanes>,
+    n_lane: usize,
+    target: Vec<Vec<f32>>,
+    weight: Vec<f32>,
+}
+
+impl<'a> Records<'a> {
+    /// Encodes the first windows of `events` and weights them by amplitude.
+    pub fn new(encoder: &SparseEncoder, reader: &'a Reader<'a>, events: &[Event], power: f64, bound: f32) -> Self {
+        let t0 = encoder.window - 1;
+        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
+        let starting: Vec<Vec<f32>> =
+            events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
+        let starts: Vec<Start<'_>> =
+            events.iter().zip(&starting).map(|(e, z0)| Start { z0, u: &e.u[t0..], u_half: &e.u_half[t0..] }).collect();
+        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * encoder.n_sensor..].to_vec()).collect();
+        let count: usize = targets.iter().map(|t| t.len() - encoder.n_sensor).sum();
+        let groups = starts
+            .chunks(LANES)
+            .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
+            .map(|(starts, (target, weight))| {
+                let (forcing, z0) = load_group(reader.model.shape.latent, starts, 1.0);
+                Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
+            })
+            .collect();
+        Self { reader, groups, bound, count: count as f64 }
+    }
+
+    /// Weighted mean squared rollout error, infinite when a rollout diverges and no gradient is asked for; with one
+    /// (overwritten) the samples past a divergence count as a response of zero.
+    pub fn error(&self, xi: &[f32], gradient: Option<&mut [f32]>) -> f64 {
+        let is_wanted = gradient.is_some();
+        let parts: Vec<(f64, Vec<f32>)> = self.groups.par_iter().map(|g| self.group(g, xi, is_wanted)).collect();
+        if let Some(gradient) = gradient {
+            gradient.fill(0.0);
+            parts.iter().for_each(|(_, part)| gradient.iter_mut().zip(part).for_each(|(a, b)| *a += b));
+        }
+        parts.iter().map(|(sum, _)| sum).sum()
+    }
+
+    fn group(&self, group: &Group, xi: &[f32], is_wanted: bool) -> (f64, Vec<f32>) {
+        let library = self.reader.model.shape.library();
+        let (r, n_sensor) = (library.latent, self.reader.network.n_output());
+        let n_step = group.forcing.u.len();
+        let mut trajectory = Trajectory::default();
+        rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
+        if !is_wanted && trajectory.valid != group.forcing.length {
+            return (f64::INFINITY, Vec::new());
+        }
+        let mut z = vec![0.0; group.n_lane * n_step * r];
+        from_lanes(&trajectory.z, r, n_step, &mut z);
+        let (mut tape, mut response) = (Tape::default(), Vec::new());
+        self.reader.network.forward(&self.reader.parameters, &z, &mut tape, &mut response);
+        let mut sum = 0.0;
+        for (lane, series) in response.chunks_exact_mut(n_step * n_sensor).enumerate() {
+            let scale = f64::from(group.weight[lane]) / self.count;
+            let (inside, beyond) = series.split_at_mut(group.target[lane].len());
+            beyond.fill(0.0);
+            let (initial, predicted) = inside.split_at_mut(n_sensor);
+            initial.fill(0.0); // part of the window, not of the prediction
+            for (i, (a, target)) in predicted.iter_mut().zip(&group.target[lane][n_sensor..]).enumerate() {
+                let is_valid = i / n_sensor + 1 < trajectory.valid[lane];
+                let error = if is_valid { *a - target } else { -target };
+                sum += scale * f64::from(error).powi(2);
+                *a = if is_valid { (2.0 * scale) as f32 * error } else { 0.0 };
+            }
+        }
+        if !is_wanted {
+            return (sum, Vec::new());
+        }
+        let mut d_z = vec![0.0; z.len()];
+        self.reader.network.backward(&self.reader.parameters, &z, &mut tape, &response, None, Some(&mut d_z));
+        let mut dz = Vec::new();
+        to_lanes(&d_z, r, n_step, group.n_lane, &mut dz);
+        let mut dxi = vec![Lanes::ZERO; xi.len()];
+        reverse(library, xi, &group.forcing, &trajectory, &mut dz, &mut dxi);
+        (sum, dxi.iter().map(Lanes::sum).collect())
+    }
+}

@@ -1,0 +1,206 @@
+//! The three learned stages on a small synthetic column: accuracy, bounds, resumption, files.
+
+#[path = "support/synthetic_column.rs"]
+mod synthetic_column;
+
+use flare_pipe::flare::{
+    CalibrateSettings, Calibration, Case, DistillSettings, Event, Normalisation, Observation, PretrainSettings,
+    SourceModel, SparseEncoder, calibrate, distill, predict, pretrain, reconstruct,
+};
+use flare_pipe::progress::Quiet;
+use std::sync::OnceLock;
+use synthetic_column::Synthetic;
+
+const N_TRAIN: usize = 12;
+
+fn column() -> Synthetic {
+    Synthetic { n_case: 16, duration_s: 8.0, channels: 12, sensor_depth_m: vec![11.0, 0.0], ..Default::default() }
+}
+
+fn settings() -> PretrainSettings {
+    PretrainSettings {
+        latent: 8,
+        channels: 12,
+        segments: 3,
+        final_segments: 2,
+        encoder_hidden: vec![24],
+        decoder_hidden: vec![24],
+        epochs: 60,
+        batch: 16,
+        learning_rate: 3e-3,
+        threshold_every: 15,
+        validate_every: 5,
+        checkpoint_every: 5,
+        ..Default::default()
+    }
+}
+
+struct Trained {
+    cases: Vec<Case>,
+    observation: Observation,
+    model: SourceModel,
+    encoder: SparseEncoder,
+}
+
+fn trained() -> &'static Trained {
+    static TRAINED: OnceLock<Trained> = OnceLock::new();
+    TRAINED.get_or_init(|| {
+        let (cases, observation) = column().cases(N_TRAIN);
+        let (train, validation) = cases.split_at(N_TRAIN);
+        let (model, _) = pretrain(train, validation, &settings(), 1, None, &Quiet).expect("pretrains");
+        let distill_settings =
+            DistillSettings { window: 5, hidden: vec![32], epochs: 60, batch: 64, ..Default::default() };
+        let (encoder, _) = distill(&model, train, validation, &distill_settings, 1, &Quiet).expect("distils");
+        Trained { cases, observation, model, encoder }
+    })
+}
+
+/// Root-mean-square error over the root mean square of the target (%).
+fn error_percent(found: &[f32], target: &[f32]) -> f64 {
+    let error: f64 = found.iter().zip(target).map(|(a, b)| f64::from(a - b).powi(2)).sum();
+    let power: f64 = target.iter().map(|b| f64::from(*b).powi(2)).sum();
+    assert_eq!(found.len(), target.len());
+    100.0 * (error / power).sqrt()
+}
+
+#[test]
+fn whole_motions_never_seen_are_rolled_out_from_one_window() {
+    let t = trained();
+    for case in &t.cases[N_TRAIN..] {
+        let response = t.model.roll_out(case).expect("bounded");
+        let error = error_percent(&response, &case.dense[2 * 12..]);
+        assert!(error < 35.0, "case {}: {error} %", case.id);
+    }
+}
+
+#[test]
+fn the_sparse_encoder_reads_the_state_from_two_sensors() {
+    let t = trained();
+    for case in &t.cases[N_TRAIN..] {
+        let response = reconstruct(&t.model, &t.encoder, &t.observation, &case.sparse);
+        let error = error_percent(&response, &case.sparse[4 * 2..]);
+        assert!(error < 20.0, "case {}: {error} %", case.id);
+    }
+}
+
+#[test]
+fn records_of_another_column_are_predicted_better_after_calibration() {
+    let t = trained();
+    let other = Synthetic { velocity_factor: 0.95, n_case: 9, seed: 9, ..column() };
+    let events: Vec<Event> = other
+        .cases_like(&t.observation, column().input_std(N_TRAIN))
+        .into_iter()
+        .map(|c| Event { id: c.id, u: c.u, u_half: c.u_half, sparse: c.sparse })
+        .collect();
+    let settings = CalibrateSettings { epochs: 200, threshold_every: 50, ..Default::default() };
+    let calibration = calibrate(&t.model, &t.encoder, &t.observation, &events[..5], &events[5..7], &settings, &Quiet)
+        .expect("calibrates");
+    let test_error = |xi: &[f32]| -> f64 {
+        let one = |e: &Event| {
+            let window = &e.sparse[..5 * 2];
+            let response = predict(&t.model, &t.encoder, xi, &t.observation, window, &e.u, &e.u_half).expect("bounded");
+            error_percent(&response, &e.sparse[4 * 2..])
+        };
+        events[7..].iter().map(one).sum::<f64>() / 2.0
+    };
+    let (before, after) = (test_error(t.model.coefficients()), test_error(&calibration.coefficients));
+    assert!(after < 0.8 * before, "{after} % after, {before} % before");
+    assert!(calibration.cosine_similarity > 0.9);
+    for (kept, was_kept) in calibration.mask.iter().zip(&t.model.mask) {
+        assert!(*was_kept || !*kept, "a term came back");
+    }
+
+    let dir = tempfile::tempdir().expect("folder");
+    calibration.save(dir.path(), &t.model.shape).expect("saves");
+    let back = Calibration::load(dir.path(), &t.model.shape).expect("loads");
+    assert_eq!(back.coefficients, calibration.coefficients);
+    assert_eq!(back.mask, calibration.mask);
+    assert!(dir.path().join("history.csv").is_file());
+}
+
+#[test]
+fn validation_motions_twice_as_strong_and_ten_times_as_long_stay_bounded() {
+    let t = trained();
+    for case in &t.cases[N_TRAIN..] {
+        let strong = |x: &[f32]| x.iter().map(|v| 2.0 * v).collect::<Vec<f32>>();
+        let doubled =
+            Case { u: strong(&case.u), u_half: strong(&case.u_half), dense: strong(&case.dense), ..case.clone() };
+        assert!(t.model.roll_out(&doubled).expect("bounded").iter().all(|v| v.abs() < 1e3));
+        let mut u_half = [case.u_half.as_slice(), &[0.0]].concat().repeat(10);
+        u_half.pop();
+        let long = Case { u: case.u.repeat(10), u_half, dense: case.dense.repeat(10), ..case.clone() };
+        assert!(t.model.roll_out(&long).expect("bounded").iter().all(|v| v.abs() < 1e3));
+    }
+}
+
+#[test]
+fn training_taken_up_from_its_checkpoint_ends_in_the_same_bytes() {
+    let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
+    let (train, validation) = cases.split_at(4);
+    let settings =
+        PretrainSettings { epochs: 13, validate_every: 2, checkpoint_every: 4, threshold_every: 3, ..settings() };
+    let whole = pretrain(train, validation, &settings, 5, None, &Quiet).expect("trains");
+    let dir = tempfile::tempdir().expect("folder");
+    // leaves the state after epoch 8 behind, as a killed training does
+    pretrain(train, validation, &settings, 5, Some(dir.path()), &Quiet).expect("trains");
+    let resumed = pretrain(train, validation, &settings, 5, Some(dir.path()), &Quiet).expect("goes on");
+    assert!(whole.0 == resumed.0, "models differ");
+    assert_eq!(whole.1.to_csv(), resumed.1.to_csv());
+    // another seed is another training and does not take the state up
+    let other = pretrain(train, validation, &settings, 6, Some(dir.path()), &Quiet).expect("trains");
+    assert!(other.0 != whole.0);
+}
+
+#[test]
+fn the_number_of_threads_changes_no_byte_of_the_model() {
+    let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
+    let (train, validation) = cases.split_at(4);
+    let settings = PretrainSettings { epochs: 4, ..settings() };
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+        pool.install(|| pretrain(train, validation, &settings, 5, None, &Quiet).expect("trains"))
+    };
+    assert!(run(1).0 == run(4).0);
+}
+
+#[test]
+fn models_come_back_from_their_files_unchanged_and_describe_themselves() {
+    let t = trained();
+    let (source, sparse) = (tempfile::tempdir().expect("folder"), tempfile::tempdir().expect("folder"));
+    let normalisation = Normalisation {
+        input_std_m_s2: 0.123,
+        channel_depth_m: t.observation.channel_depth_m.clone(),
+        dense_std_m_s2: t.observation.dense_std_m_s2.clone(),
+    };
+    t.model.save(source.path(), &normalisation).expect("saves");
+    let (model, back) = SourceModel::load(source.path()).expect("loads");
+    assert!(model == t.model);
+    assert_eq!(back, normalisation);
+    t.encoder.save(sparse.path(), &t.observation).expect("saves");
+    let (encoder, observation) = SparseEncoder::load(sparse.path()).expect("loads");
+    assert!(encoder == t.encoder);
+    assert_eq!(observation, t.observation);
+
+    let card = std::fs::read_to_string(source.path().join("model.toml")).expect("card");
+    assert!(card.contains("\"z1 z2\"") && card.contains("dz8/dt ="), "{card}");
+    std::fs::write(source.path().join("model.safetensors"), b"short").expect("writes");
+    assert!(SourceModel::load(source.path()).is_err());
+}
+
+#[test]
+fn a_training_without_a_bounded_candidate_is_an_error() {
+    let (cases, _) = Synthetic { n_case: 3, duration_s: 2.0, ..column() }.cases(2);
+    let settings = PretrainSettings { epochs: 1, state_bound: 1.0, stress_factor: 100.0, ..settings() };
+    let error = pretrain(&cases[..2], &cases[2..], &settings, 1, None, &Quiet).expect_err("nothing survives");
+    assert!(error.to_string().contains("no candidate"), "{error}");
+}
+
+#[test]
+fn a_published_recipe_without_linear_start_trains_too() {
+    let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
+    let settings = PretrainSettings { epochs: 20, ..settings() }.as_published();
+    let (model, history) = pretrain(&cases[..4], &cases[4..], &settings, 1, None, &Quiet).expect("trains");
+    assert!(model.shape.encoder().skip_range().is_none());
+    let total = history.column("total").expect("column");
+    assert!(total[20] < total[1], "{total:?}");
+}
