@@ -48,15 +48,15 @@ pub fn predict(arguments: &PredictArguments) -> Result<()> {
     let base = read(&arguments.input, &[&sections.sensors.input], unit)?;
     let window = read(&arguments.window, &names.iter().map(String::as_str).collect::<Vec<_>>(), unit)?;
     let step_s = model.step_s();
-    let coarse: Vec<Vec<f64>> =
-        window.channels.iter().map(|c| resample_band_limited(c, window.dt_s, step_s)).collect();
+    let coarse: Vec<Vec<f64>> = window.channels.iter().map(|c| resample_band_limited(c, window.dt_s, step_s)).collect();
     let base_m_s2 = resample_band_limited(&base.channels[0], base.dt_s, step_s);
     let half_m_s2 = half_steps(&base.channels[0], base.dt_s, step_s);
     let predicted = model
         .predict(&coarse, &base_m_s2, &half_m_s2)
         .map_err(|e| e.at(format!("`{}`", arguments.window.display())))?;
     let start = model.window();
-    let event = Event { site: &sections.name, names: &names, step_s, start, base_m_s2: &base_m_s2, predicted: &predicted };
+    let event =
+        Event { site: &sections.name, names: &names, step_s, start, base_m_s2: &base_m_s2, predicted: &predicted };
     match arguments.output.extension().and_then(|e| e.to_str()) {
         Some("mcap") => event.write_mcap(&arguments.output),
         Some("csv") => event.write_csv(&arguments.output),

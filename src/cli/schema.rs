@@ -13,7 +13,8 @@ use serde_json::json;
 pub fn schema() -> Result<()> {
     let mut schema = manifest::schema().to_value();
     let laws: serde_json::Map<_, _> = LAWS.iter().map(|e| (e.name.to_string(), (e.schema)().to_value())).collect();
-    let effects: serde_json::Map<_, _> = EFFECTS.iter().map(|e| (e.name.to_string(), (e.schema)().to_value())).collect();
+    let effects: serde_json::Map<_, _> =
+        EFFECTS.iter().map(|e| (e.name.to_string(), (e.schema)().to_value())).collect();
     schema["definitions-by-kind"] = json!({ "law": laws, "effect": effects });
     println!("{}", serde_json::to_string_pretty(&schema).context(|| "cannot write the schema".into())?);
     Ok(())

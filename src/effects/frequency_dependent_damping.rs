@@ -16,7 +16,9 @@ pub(super) const ENTRY: Entry<dyn Effect> = Entry {
 
 /// Adds Rayleigh damping to the column.
 ///
-///     ξ(f) = α / (4 π f) + β π f                                            (1)
+/// ```text
+/// ξ(f) = α / (4 π f) + β π f                                            (1)
+/// ```
 ///
 /// | symbol | field       | unit | range  |
 /// |--------|-------------|------|--------|
@@ -37,7 +39,9 @@ struct FrequencyDependentDamping {
 
 impl FrequencyDependentDamping {
     fn checked(self) -> Result<Self> {
-        for (name, value, highest, unit) in [("alpha_1_s", self.alpha_1_s, 20.0, "1/s"), ("beta_s", self.beta_s, 0.05, "s")] {
+        for (name, value, highest, unit) in
+            [("alpha_1_s", self.alpha_1_s, 20.0, "1/s"), ("beta_s", self.beta_s, 0.05, "s")]
+        {
             if !(0.0..=highest).contains(&value) {
                 return Err(Error::new(format!("`{name}` must be in 0…{highest} {unit}, got {value}")).usage());
             }

@@ -16,7 +16,9 @@ pub(super) const ENTRY: Entry<dyn Effect> = Entry {
 
 /// Scales the shear-wave velocity of every layer whose middle lies in a depth range.
 ///
-///     Vs → Vs · exp(ln_factor)                                              (1)
+/// ```text
+/// Vs → Vs · exp(ln_factor)                                              (1)
+/// ```
 ///
 /// | symbol    | field       | unit | range      |
 /// |-----------|-------------|------|------------|

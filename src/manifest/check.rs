@@ -25,7 +25,10 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
     if site.pretrain.channels > site.site.elements {
         problems.push(Problem::new(
             "pretrain.channels",
-            format!("`channels` must be at most `site.elements` = {}, got {}", site.site.elements, site.pretrain.channels),
+            format!(
+                "`channels` must be at most `site.elements` = {}, got {}",
+                site.site.elements, site.pretrain.channels
+            ),
         ));
     }
     tolerances(site, problems);
@@ -82,10 +85,12 @@ pub fn profile_ranges(site: &SiteSection, problems: &mut Vec<Problem>) {
     }
     let total: f64 = site.layer.iter().map(|l| l.thickness_m).sum();
     if site.layer.is_empty() {
-        problems.push(Problem::new("site.layer", "the profile has no layer").hint("add `[[site.layer]]`, surface down"));
+        problems
+            .push(Problem::new("site.layer", "the profile has no layer").hint("add `[[site.layer]]`, surface down"));
     } else if (total - site.depth_m).abs() > 1e-3 {
         let what = format!("the layers add up to {total:.4} m, but `site.depth_m` = {} m", site.depth_m);
-        problems.push(Problem::new("site.depth_m", what).hint("the base of the column is the depth of the input sensor"));
+        problems
+            .push(Problem::new("site.depth_m", what).hint("the base of the column is the depth of the input sensor"));
     }
 }
 
@@ -95,7 +100,8 @@ fn laws(site: &Site, problems: &mut Vec<Problem>) {
     for (name, table) in &site.law {
         match table.get("kind").and_then(toml::Value::as_str) {
             None => problems.push(
-                Problem::new(format!("law.{name}"), format!("law `{name}` has no `kind`")).hint(registry::known(&kinds, "")),
+                Problem::new(format!("law.{name}"), format!("law `{name}` has no `kind`"))
+                    .hint(registry::known(&kinds, "")),
             ),
             Some(kind) if !kinds.contains(&kind) => problems.push(
                 Problem::new(format!("law.{name}.kind"), format!("unknown soil law `{kind}`"))
@@ -131,10 +137,14 @@ fn sensors(site: &Site, problems: &mut Vec<Problem>) {
     let mut seen: BTreeMap<&str, usize> = BTreeMap::from([(site.sensors.input.as_str(), 0)]);
     for (i, sensor) in site.sensors.output.iter().enumerate() {
         if seen.insert(&sensor.name, i).is_some() {
-            problems.push(Problem::new(format!("sensors.output[{i}].name"), format!("two sensors are named `{}`", sensor.name)));
+            problems.push(Problem::new(
+                format!("sensors.output[{i}].name"),
+                format!("two sensors are named `{}`", sensor.name),
+            ));
         }
         if !(0.0..site.site.depth_m).contains(&sensor.depth_m) {
-            let what = format!("`depth_m` must lie in 0…{} m, above the base, got {}", site.site.depth_m, sensor.depth_m);
+            let what =
+                format!("`depth_m` must lie in 0…{} m, above the base, got {}", site.site.depth_m, sensor.depth_m);
             problems.push(Problem::new(format!("sensors.output[{i}].depth_m"), what));
         }
     }
@@ -151,7 +161,10 @@ fn tolerances(site: &Site, problems: &mut Vec<Problem>) {
     ];
     for (name, value, highest) in values {
         if !(0.0..=highest).contains(&value) {
-            problems.push(Problem::new(format!("tolerances.{name}"), format!("`{name}` must be in 0…{highest}, got {value}")));
+            problems.push(Problem::new(
+                format!("tolerances.{name}"),
+                format!("`{name}` must be in 0…{highest}, got {value}"),
+            ));
         }
     }
 }

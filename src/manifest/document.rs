@@ -75,7 +75,11 @@ impl Document {
             .map(|p| match span_of(p) {
                 Some(span) => self.render(&p.what, Some(span), p.hint.as_deref()),
                 None => {
-                    let origin = if overridden.contains(&p.key) { "`--set`".into() } else { format!("`{}`", self.path.display()) };
+                    let origin = if overridden.contains(&p.key) {
+                        "`--set`".into()
+                    } else {
+                        format!("`{}`", self.path.display())
+                    };
                     let mut error = Error::new(&p.what).at(format!("`{}` of {origin}", p.key));
                     if let Some(hint) = &p.hint {
                         error = error.hint(hint);
@@ -97,9 +101,9 @@ impl Document {
         let span = span.unwrap_or(0..0);
         let path = self.path.display().to_string();
         let what = what.trim();
-        let mut group = Level::ERROR.primary_title(what).element(
-            Snippet::source(&self.text).path(&path).fold(true).annotation(AnnotationKind::Primary.span(span)),
-        );
+        let mut group = Level::ERROR
+            .primary_title(what)
+            .element(Snippet::source(&self.text).path(&path).fold(true).annotation(AnnotationKind::Primary.span(span)));
         if let Some(hint) = hint {
             group = group.element(Level::HELP.with_name("hint").message(hint));
         }
@@ -115,7 +119,9 @@ impl Document {
 /// When there is no `=` or the path runs through something that is no table.
 pub fn apply_override(table: &mut toml::Table, assignment: &str) -> Result<String> {
     let Some((key, value)) = assignment.split_once('=') else {
-        return Err(Error::new(format!("`--set {assignment}` has no `=`")).hint("write `--set section.key=value`").usage());
+        return Err(Error::new(format!("`--set {assignment}` has no `=`"))
+            .hint("write `--set section.key=value`")
+            .usage());
     };
     let (key, value) = (key.trim(), value.trim());
     let parsed = toml::from_str::<toml::Table>(&format!("v = {value}"))
@@ -123,7 +129,11 @@ pub fn apply_override(table: &mut toml::Table, assignment: &str) -> Result<Strin
         .and_then(|mut t| t.remove("v"))
         .unwrap_or_else(|| toml::Value::String(value.to_string()));
     let mut steps = steps_of(key).into_iter().peekable();
-    let wrong = || Error::new(format!("`--set {key}`: no such place in the manifest")).hint("keys are dotted: `pretrain.latent`").usage();
+    let wrong = || {
+        Error::new(format!("`--set {key}`: no such place in the manifest"))
+            .hint("keys are dotted: `pretrain.latent`")
+            .usage()
+    };
     let mut place = match steps.next() {
         Some(Step::Key(first)) if steps.peek().is_none() => {
             table.insert(first, parsed);
@@ -139,7 +149,9 @@ pub fn apply_override(table: &mut toml::Table, assignment: &str) -> Result<Strin
                 t.insert(k, parsed);
                 return Ok(key.to_string());
             }
-            (Step::Key(k), toml::Value::Table(t)) => t.entry(k).or_insert_with(|| toml::Value::Table(toml::Table::new())),
+            (Step::Key(k), toml::Value::Table(t)) => {
+                t.entry(k).or_insert_with(|| toml::Value::Table(toml::Table::new()))
+            }
             (Step::Index(i), toml::Value::Array(a)) => {
                 let slot = a.get_mut(i).ok_or_else(wrong)?;
                 if last {
@@ -177,7 +189,9 @@ fn locate(root: &DeTable<'_>, key: &str) -> Option<Range<usize>> {
     for step in steps_of(key) {
         let (span, value) = match step {
             Step::Key(k) => {
-                let Some((name, value)) = table.and_then(|t| t.iter().find(|(n, _)| n.get_ref().as_ref() == k)) else { break };
+                let Some((name, value)) = table.and_then(|t| t.iter().find(|(n, _)| n.get_ref().as_ref() == k)) else {
+                    break;
+                };
                 let is_container = matches!(value.get_ref(), DeValue::Table(_) | DeValue::Array(_));
                 (if is_container { name.span() } else { name.span().start..value.span().end }, value)
             }

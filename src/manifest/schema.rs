@@ -20,7 +20,8 @@ pub fn compare(table: &toml::Table) -> Vec<Problem> {
 fn walk(root: &Json, schema: &Json, value: &toml::Value, key: String, problems: &mut Vec<Problem>) {
     let schema = resolve(root, schema);
     if let Some(options) = schema.get("anyOf").or_else(|| schema.get("oneOf")).and_then(Json::as_array) {
-        let options: Vec<&Json> = options.iter().filter(|o| o.get("type").and_then(Json::as_str) != Some("null")).collect();
+        let options: Vec<&Json> =
+            options.iter().filter(|o| o.get("type").and_then(Json::as_str) != Some("null")).collect();
         let attempts: Vec<Vec<Problem>> = options
             .iter()
             .map(|option| {
@@ -48,7 +49,8 @@ fn walk(root: &Json, schema: &Json, value: &toml::Value, key: String, problems: 
         && !fits(&expected, value)
     {
         let article = expected.join(" or ");
-        problems.push(Problem::new(&key, format!("`{}` must be {article}, got {} `{value}`", last(&key), describe(value))));
+        problems
+            .push(Problem::new(&key, format!("`{}` must be {article}, got {} `{value}`", last(&key), describe(value))));
         return;
     }
     match value {
@@ -87,7 +89,8 @@ fn walk_table(root: &Json, schema: &Json, table: &toml::Table, key: &str, proble
             let about = properties.and_then(|p| p.get(name)).and_then(|p| p.get("description")).and_then(Json::as_str);
             let mut problem = Problem::new(join(name), format!("{place} lacks the key `{name}`"));
             if let Some(about) = about {
-                problem = problem.hint(format!("`{name}`: {}", about.lines().next().unwrap_or_default().trim_end_matches('.')));
+                problem = problem
+                    .hint(format!("`{name}`: {}", about.lines().next().unwrap_or_default().trim_end_matches('.')));
             }
             problems.push(problem);
         }

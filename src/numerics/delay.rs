@@ -6,7 +6,9 @@ use std::f64::consts::PI;
 
 /// `x` later by `delay_s`, any fraction of a sample; the record is padded with zeros, so nothing wraps around.
 ///
-///     X(f) → X(f) · exp(−i 2π f τ)                                          (1)
+/// ```text
+/// X(f) → X(f) · exp(−i 2π f τ)                                          (1)
+/// ```
 pub fn delay(x: &[f64], dt_s: f64, delay_s: f64) -> Vec<f64> {
     if delay_s == 0.0 || x.is_empty() {
         return x.to_vec();

@@ -55,7 +55,8 @@ pub fn read_table(path: &Path) -> Result<Vec<(String, Vec<f64>)>> {
         let row = row.context(what)?;
         for ((name, column), cell) in columns.iter_mut().zip(row.iter().skip(1)) {
             if !cell.is_empty() {
-                let value = cell.parse().map_err(|_| Error::new(format!("`{cell}` in column `{name}` is no number")))?;
+                let value =
+                    cell.parse().map_err(|_| Error::new(format!("`{cell}` in column `{name}` is no number")))?;
                 column.push(value);
             }
         }

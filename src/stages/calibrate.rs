@@ -25,8 +25,15 @@ impl Stage for Calibrate {
     }
 
     fn reads(&self) -> &'static [&'static str] {
-        &["calibrate", "sensors", "records.format", "records.components", "records.train", "records.validation",
-          "records.test"]
+        &[
+            "calibrate",
+            "sensors",
+            "records.format",
+            "records.components",
+            "records.train",
+            "records.validation",
+            "records.test",
+        ]
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
@@ -42,8 +49,7 @@ impl Stage for Calibrate {
             found.select(component, split).map(|r| event(r, card.step_s, &card.normalisation)).collect()
         };
         let (train, validation) = (events(Split::Train), events(Split::Validation));
-        let calibration =
-            calibrate(&model, &encoder, &observation, &train, &validation, &settings, task.progress())?;
+        let calibration = calibrate(&model, &encoder, &observation, &train, &validation, &settings, task.progress())?;
         calibration.save(task.output_dir(), &model.shape)?;
         calibration.history.save(&task.output_dir().join("history.csv"))
     }

@@ -124,7 +124,9 @@ fn write_tensors(path: &Path, cases: &[Coarse], normalisation: &Normalisation) -
     let what = || format!("cannot write `{}`", path.display());
     let views = tensors
         .iter()
-        .map(|(name, shape, bytes)| Ok((name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).context(what)?)))
+        .map(|(name, shape, bytes)| {
+            Ok((name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).context(what)?))
+        })
         .collect::<Result<Vec<_>>>()?;
     let bytes = safetensors::serialize(views, None).context(what)?;
     fs::write(path, bytes).context(what)

@@ -83,8 +83,15 @@ impl Stage for Evaluate {
     }
 
     fn reads(&self) -> &'static [&'static str] {
-        &["sensors", "analysis.output_step_s", "records.format", "records.components", "records.train",
-          "records.validation", "records.test"]
+        &[
+            "sensors",
+            "analysis.output_step_s",
+            "records.format",
+            "records.components",
+            "records.train",
+            "records.validation",
+            "records.test",
+        ]
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
@@ -209,4 +216,3 @@ pub struct Axis {
 pub fn read(folder: &Path) -> Result<(Evaluation, Axis)> {
     Ok((read_json(&folder.join("evaluation.json"))?, read_json(&folder.join("axis.json"))?))
 }
-

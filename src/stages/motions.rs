@@ -39,7 +39,8 @@ impl Stage for Motions {
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let suite = motion::suite(&task.section::<MotionSettings>("motions")?)?;
-        let columns: Vec<(&str, &[f64])> = suite.iter().map(|m| (m.id.as_str(), m.acceleration_m_s2.as_slice())).collect();
+        let columns: Vec<(&str, &[f64])> =
+            suite.iter().map(|m| (m.id.as_str(), m.acceleration_m_s2.as_slice())).collect();
         let dt_s = suite.first().map_or(0.0, |m| m.dt_s);
         write_table(&task.output_dir().join("motions_m_s2.csv"), dt_s, &columns)?;
         let pga = |m: &Motion| m.acceleration_m_s2.iter().fold(0.0f64, |a, b| a.max(b.abs())) / G_M_S2;

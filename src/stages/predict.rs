@@ -52,7 +52,10 @@ impl Predictor {
         let (window, n_sensor) = (self.encoder.window, self.observation.n_sensor());
         if let Some(short) = initial_m_s2.iter().find(|h| h.len() < window) {
             let needed = (window - 1) as f64 * self.card.step_s;
-            return Err(Error::new(format!("the initial window must span {needed} s ({window} samples), got {}", short.len())));
+            return Err(Error::new(format!(
+                "the initial window must span {needed} s ({window} samples), got {}",
+                short.len()
+            )));
         }
         let rows: Vec<f64> = (0..window).flat_map(|k| initial_m_s2.iter().map(move |h| h[k])).collect();
         let scales = &self.card.normalisation;

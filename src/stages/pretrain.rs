@@ -61,7 +61,8 @@ fn validate(model: &SourceModel, case: &Case) -> Result<ValidationCase> {
     let predicted = model.roll_out(case)?;
     let target = &case.dense[(model.shape.window - 1) * n..];
     // The first sample is what the encoder saw: the rollout is judged from the next one on.
-    let column = |field: &[f32], j: usize| field.iter().skip(n + j).step_by(n).map(|v| f64::from(*v)).collect::<Vec<_>>();
+    let column =
+        |field: &[f32], j: usize| field.iter().skip(n + j).step_by(n).map(|v| f64::from(*v)).collect::<Vec<_>>();
     let nrmse = (0..n).map(|j| nrmse_percent(&column(&predicted, j), &column(target, j))).collect();
     Ok(ValidationCase { case: case.id.clone(), nrmse_percent: nrmse })
 }

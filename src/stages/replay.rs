@@ -32,8 +32,18 @@ impl Stage for Replay {
     }
 
     fn reads(&self) -> &'static [&'static str] {
-        &["site", "law", "effects", "sensors", "analysis", "records.components", "records.train", "records.validation",
-          "records.test", "records.format"]
+        &[
+            "site",
+            "law",
+            "effects",
+            "sensors",
+            "analysis",
+            "records.components",
+            "records.train",
+            "records.validation",
+            "records.test",
+            "records.format",
+        ]
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {

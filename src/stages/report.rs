@@ -205,10 +205,11 @@ fn distill_content(task: &Task<'_>) -> Result<DistillContent> {
     let (model, _) = SourceModel::load(task.input("pretrain")?)?;
     let (encoder, observation) = SparseEncoder::load(folder)?;
     let errors = distill::validation(folder)?;
-    let sensors = observation.sensors.iter().enumerate().map(|(j, name)| Sample {
-        label: name.clone(),
-        values: errors.iter().map(|e| e.nrmse_percent[j]).collect(),
-    });
+    let sensors = observation
+        .sensors
+        .iter()
+        .enumerate()
+        .map(|(j, name)| Sample { label: name.clone(), values: errors.iter().map(|e| e.nrmse_percent[j]).collect() });
     let shown: Vec<String> = card.validation.iter().take(1).cloned().collect();
     let n = encoder.n_sensor;
     let mut traces = Vec::new();
@@ -262,8 +263,7 @@ fn held_out(task: &Task<'_>, evaluation: &Evaluation, axis: evaluate::Axis) -> R
     tests
         .map(|p| {
             let table = read_table(&folder.join(format!("{}.{}.csv", p.event, p.component)))?;
-            let sensors: Vec<&str> =
-                table.iter().filter_map(|(name, _)| name.strip_suffix(" record")).collect();
+            let sensors: Vec<&str> = table.iter().filter_map(|(name, _)| name.strip_suffix(" record")).collect();
             let history = |sensor: &str, what: &str| {
                 let name = format!("{sensor} {what}");
                 table.iter().find(|(n, _)| *n == name).map(|(_, values)| values.clone())
@@ -296,12 +296,8 @@ fn trace(sensor: &str, depth_m: f64, record: Option<Series>, fe: Option<Series>,
         let Some(s) = series else { return Vec::new() };
         psa(&resample_band_limited(&s.values, s.step_s, SPECTRUM_STEP_S), SPECTRUM_STEP_S, DAMPING, &period_s)
     };
-    let spectrum = Spectrum {
-        record_m_s2: spectrum(&record),
-        fe_m_s2: spectrum(&fe),
-        flare_t_m_s2: spectrum(&flare_t),
-        period_s,
-    };
+    let spectrum =
+        Spectrum { record_m_s2: spectrum(&record), fe_m_s2: spectrum(&fe), flare_t_m_s2: spectrum(&flare_t), period_s };
     Trace { sensor: sensor.to_string(), depth_m: Some(depth_m), record, fe, flare_t, spectrum: Some(spectrum) }
 }
 

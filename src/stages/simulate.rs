@@ -41,7 +41,8 @@ impl Stage for Simulate {
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
-        let sections: ColumnSections = task.parameters().clone().try_into().map_err(|e| Error::new("no column").cause(e))?;
+        let sections: ColumnSections =
+            task.parameters().clone().try_into().map_err(|e| Error::new("no column").cause(e))?;
         let settings: MotionSettings = task.section("motions")?;
         let site: String = task.section("name")?;
         let column = Column::new(&sections.profile()?, &sections.analysis)?;
@@ -152,7 +153,9 @@ fn judge(task: &Task<'_>, index: &Index) -> Result<()> {
     if share > MAX_FAILED_SHARE {
         let (id, reason) = failures[0];
         let what = format!("{} of {} motions did not finish", failures.len(), index.cases.len());
-        return Err(Error::new(what).cause(format!("motion {id}: {reason}")).hint("the first reason is shown; see log.txt"));
+        return Err(Error::new(what)
+            .cause(format!("motion {id}: {reason}"))
+            .hint("the first reason is shown; see log.txt"));
     }
     Ok(())
 }

@@ -31,7 +31,8 @@ impl Draw {
     /// Draws for `n_layer` layers and `n_sensor` sensors (input included) under `seed`.
     pub fn new(tolerances: &Tolerances, n_layer: usize, n_sensor: usize, seed: u64) -> Self {
         let mut random = random::stream(seed, "twin draws");
-        let mut normal = |sd: f64| -> f64 { sd * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random) };
+        let mut normal =
+            |sd: f64| -> f64 { sd * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random) };
         let vs_ln = (0..n_layer).map(|_| normal(tolerances.vs_ln)).collect();
         let damping_ln = normal(tolerances.damping_ln);
         let sensors = (0..n_sensor)

@@ -26,11 +26,7 @@ pub struct Recorder<'a> {
 ///
 /// # Errors
 /// When the truth names an unknown law or effect, or the column cannot be built.
-pub fn recorder<'a>(
-    site: &'a ColumnSections,
-    tolerances: &Tolerances,
-    truth: &'a Truth,
-) -> Result<Recorder<'a>> {
+pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'a Truth) -> Result<Recorder<'a>> {
     let mut site_of_truth = site.clone();
     for (name, parameters) in &truth.law {
         let law = site_of_truth.law.get_mut(name).ok_or_else(|| {
@@ -65,9 +61,10 @@ pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) 
     })?;
     let mut motions: Vec<Channels> = vec![Vec::new(); site.sensors.output.len() + 1];
     for component in components {
-        let pga_g = *section.pga_g.get(component).ok_or_else(|| {
-            Error::new(format!("event `{name}` of the truth has no `pga_g.{component}`")).usage()
-        })?;
+        let pga_g = *section
+            .pga_g
+            .get(component)
+            .ok_or_else(|| Error::new(format!("event `{name}` of the truth has no `pga_g.{component}`")).usage())?;
         let settings = MotionSettings {
             seed: event_seed(truth.seed, name, component),
             duration_s: section.duration_s,
@@ -75,7 +72,8 @@ pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) 
         };
         let motion = motion::suite(&settings)?.remove(0);
         let depths = site.sensors.depths_m();
-        let histories = sensor_histories(column, motion.dt_s, &motion.acceleration_m_s2, &depths).map_err(|e| e.at(format!("event `{name}`, component `{component}`")))?;
+        let histories = sensor_histories(column, motion.dt_s, &motion.acceleration_m_s2, &depths)
+            .map_err(|e| e.at(format!("event `{name}`, component `{component}`")))?;
         for (sensor, history) in motions.iter_mut().zip(histories) {
             sensor.push(resample::resample_band_limited(&history, site.analysis.output_step_s, STEP_S));
         }
@@ -83,7 +81,8 @@ pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) 
     let observed = observe(&motions, STEP_S, draw);
     let names = site.sensors.names();
     let records = components.iter().enumerate().map(|(c, component)| {
-        let sensor = |s: usize, name: &str| Sensor { name: name.to_string(), acceleration_m_s2: observed[s][c].clone() };
+        let sensor =
+            |s: usize, name: &str| Sensor { name: name.to_string(), acceleration_m_s2: observed[s][c].clone() };
         let mut record = Record {
             event: name.to_string(),
             component: component.clone(),

@@ -74,7 +74,8 @@ impl Truth {
     /// # Errors
     /// When it cannot be read, is no TOML, or a value is out of range.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).context(|| format!("cannot read the truth file `{}`", path.display()))?;
+        let text =
+            std::fs::read_to_string(path).context(|| format!("cannot read the truth file `{}`", path.display()))?;
         let truth: Self = toml::from_str(&text)
             .map_err(|e| Error::new(e.to_string().trim().to_string()).at(format!("`{}`", path.display())).usage())?;
         truth.check().map_err(|e| e.at(format!("`{}`", path.display())))?;
