@@ -2,5 +2,7 @@
 
 mod reference;
 mod reference_column;
+mod robustness;
 mod sanisand;
 mod support;
+mod transfer_function;

@@ -1,7 +1,7 @@
 //! SANISAND: one soil point against independent element paths, its tangent, its widths and its step size.
 
 use crate::reference::columns;
-use flare_pipe::soil::{Increment, LAWS, Law, Point, Response};
+use flare_pipe::soil::{Increment, LAWS, Law, Point};
 
 fn law(table: &str) -> Box<dyn Law> {
     let entry = flare_pipe::registry::find("soil law", LAWS, "sanisand").expect("registered");

@@ -205,7 +205,10 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
         let de_sub = [share * de[0], share * de[1], share * de[2]];
         let dv_sub = share * dv;
         let (d1, load_1) = derivative(c, &now, &first, de_sub, dv_sub);
-        let middle = moved(&now, &d1, one, share * de_void);
+        let radius = L::splat(c.yield_radius);
+        let turning = Turning::new(&now, &first, &d1, load_1, radius);
+        let mut middle = moved(&now, &d1, one, share * de_void);
+        turning.settle(&mut middle, radius);
         let (second, _) = Rates::at(c, &middle);
         let (d2, load_2) = derivative(c, &middle, &second, de_sub, dv_sub);
         let mean = Change {
@@ -218,24 +221,17 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
 
         let miss_s = add(d2.s, L::splat(-1.0), d1.s);
         let miss_p = d2.p - d1.p;
-        let miss_alpha = add(d2.alpha, L::splat(-1.0), d1.alpha);
         let stress_2 = dot(miss_s, miss_s) + L::splat(3.0) * miss_p * miss_p;
-        let next_p = next.p.max(L::splat(1e-6 * c.p_a));
-        // Errors count as stresses over p̄ + p_t: what a vanishing p̄ makes of them is far below any equilibrium.
-        let scale = next_p + L::splat(c.p_t);
-        let alpha_2 = dot(miss_alpha, miss_alpha) * (next_p * next_p);
-        let error = half * (stress_2.max(alpha_2)).sqrt() / scale;
+        // Relative to the confinement, and to p_t where there is less.
+        let error = half * stress_2.sqrt() / next.p.max(L::splat(c.p_t));
         let fine = L::and(L::lt(error, tolerance), L::lt(L::splat(2e-6 * c.p_a), next.p.min(middle.p)));
         let accept = L::and(fine, active);
 
-        // Drift: the stress stands, α follows, where the substep was plastic.
-        let inv_p = one / next_p;
-        let away =
-            [next.s[0] * inv_p - next.alpha[0], next.s[1] * inv_p - next.alpha[1], next.s[2] * inv_p - next.alpha[2]];
-        let norm = dot(away, away).sqrt().max(L::splat(1e-14));
+        // The stress stands; α follows, so that the state stays on the yield surface, where the substep was plastic.
         let loading = L::lt(zero, load_1 + load_2);
-        let excess = L::select(loading, (norm - L::splat(c.yield_radius)) / norm, zero);
-        next.alpha = add(next.alpha, excess, away);
+        let mut settled = next;
+        turning.settle(&mut settled, radius);
+        next.alpha = select3::<L>(loading, settled.alpha, next.alpha);
 
         let pick = |new: L, old: L| L::select(accept, new, old);
         now = State {
@@ -272,6 +268,51 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
     };
     let pick = |i: usize| L::select(plastic, tangent[i], elastic_tangent[i]);
     (end, [pick(0), pick(1), pick(2), pick(3)], failed)
+}
+
+/// How the loading direction turns within a substep.
+///
+/// X = r − α has the length k = √⅔ m of the tiny yield surface and follows the strain direction within a stress-ratio
+/// path of that length, which makes explicit substeps unstable beyond it. With everything that acts along n left
+/// out, X₀ + Δr gives the direction at the end implicitly, as radial return does; the shares blend from the explicit
+/// second-order direction (‖Δr‖ ≪ k) to that one (‖Δr‖ ≫ k).
+struct Turning<L> {
+    implicit: Deviator<L>,
+    weight: L,
+}
+
+impl<L: Lane> Turning<L> {
+    #[inline(always)]
+    fn new(state: &State<L>, r: &Rates<L>, d: &Change<L>, over_x: L, radius: L) -> Self {
+        let one = L::splat(1.0);
+        let inv_p = one / state.p;
+        let ratio = [state.s[0] * inv_p, state.s[1] * inv_p, state.s[2] * inv_p];
+        let along = over_x * (r.x * (r.g + r.g) * dot(r.flow, r.n) * inv_p + r.reach);
+        let push = [
+            (d.s[0] - ratio[0] * d.p) * inv_p - d.alpha[0] + along * r.n[0],
+            (d.s[1] - ratio[1] * d.p) * inv_p - d.alpha[1] + along * r.n[1],
+            (d.s[2] - ratio[2] * d.p) * inv_p - d.alpha[2] + along * r.n[2],
+        ];
+        let xi2 = dot(push, push) / (radius * radius);
+        let implicit = add(push, radius, r.n);
+        Self { implicit, weight: xi2 / (one + xi2) }
+    }
+
+    /// Puts α where the state lies on the yield surface with the turned direction.
+    #[inline(always)]
+    fn settle(&self, state: &mut State<L>, radius: L) {
+        let inv_p = L::splat(1.0) / state.p;
+        let ratio = [state.s[0] * inv_p, state.s[1] * inv_p, state.s[2] * inv_p];
+        let explicit = add(ratio, L::splat(-1.0), state.alpha);
+        let keep = L::splat(1.0) - self.weight;
+        let x = [
+            keep * explicit[0] + self.weight * self.implicit[0],
+            keep * explicit[1] + self.weight * self.implicit[1],
+            keep * explicit[2] + self.weight * self.implicit[2],
+        ];
+        let scale = -(radius / dot(x, x).sqrt().max(L::splat(1e-14)));
+        state.alpha = add(ratio, scale, x);
+    }
 }
 
 struct Change<L> {

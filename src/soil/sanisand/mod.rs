@@ -158,8 +158,8 @@ impl Default for Sanisand {
             k_w_gpa: 2.2,
             g_0: None,
             damping_ratio: 0.0,
-            tolerance: 1e-5,
-            max_substeps: 2000,
+            tolerance: 1e-4,
+            max_substeps: 1000,
         }
     }
 }

@@ -109,6 +109,8 @@ pub(super) struct Rates<L> {
     pub denominator: L,
     /// ⅔ b₀ (α^b − α).
     pub back: Deviator<L>,
+    /// ⅔ b₀ √⅔ (g M_c e^{−n_b Ψ} − m): the share of `back` along n.
+    pub reach: L,
 }
 
 impl<L: Lane> Rates<L> {
@@ -171,7 +173,7 @@ impl<L: Lane> Rates<L> {
             two_third_b0 * (bound * n[1] - s.alpha[1]),
             two_third_b0 * (bound * n[2] - s.alpha[2]),
         ];
-        (Self { g, k, n, n_r, flow, d, x, denominator, back }, reversed)
+        (Self { g, k, n, n_r, flow, d, x, denominator, back, reach: two_third_b0 * bound }, reversed)
     }
 
     /// ⟨L⟩/x of (10) for a strain increment (deviator, volume; compression positive).
