@@ -29,7 +29,7 @@ pub fn delay(x: &[f64], dt_s: f64, delay_s: f64) -> Vec<f64> {
     for (k, value) in spectrum.iter_mut().enumerate() {
         let phase = -2.0 * PI * k as f64 / (n as f64 * dt_s) * delay_s;
         *value *= Complex::from_polar(1.0, phase); // (1)
-        if k == 0 || (k == last && n % 2 == 0) {
+        if k == 0 || (k == last && n.is_multiple_of(2)) {
             value.im = 0.0;
         }
     }

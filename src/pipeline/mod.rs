@@ -1,7 +1,7 @@
 //! Cached, resumable stages on a directed acyclic graph; knows nothing of soil.
 //!
 //! A [`Recipe`] (a file of `pipelines/`) names stages and who reads whose output; a [`Graph`] is that recipe unfolded over one
-//! manifest; [`run`] decides for every stage whether its output is in the [`Store`] and computes what is not. The key of an
+//! manifest; [`run()`] decides for every stage whether its output is in the [`Store`] and computes what is not. The key of an
 //! output is a hash of everything that can change it and of nothing else ([`Parts`]), so a rerun can be explained part by
 //! part. Outputs appear by fsync and rename under a lock per key: a killed run loses the work in flight, nothing more.
 

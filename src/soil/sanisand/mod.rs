@@ -71,7 +71,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | h₀, c_h, n_b | `h_0`, `c_h`, `n_b` | – | hardening |
 /// | A₀, n_d, z_max, c_z | `a_0`, `n_d`, `z_max`, `c_z` | – | dilatancy, fabric |
 /// | e_ini, K_w | `e_ini`, `k_w_gpa` | –, GPa | 0.2…2.5, 0…10 |
-/// | state | s, p̄, α, z, α_in (xx, yy, xy), e, G₀ | [15] | Pa, – |
+/// | state | s, p̄, α, z, α_in (xx, yy, xy), e, G₀ | `[15]` | Pa, – |
 ///
 /// Conventions: without `g_0`, G₀ makes G = ρVs² at each point's own geostatic stress. α and α_in start at r₀ (the
 /// stress is the centre of the yield surface), z at 0. e and p̄ in (2) are the current ones; `p_t_in_moduli = false` takes p' there. α_in moves to α when
