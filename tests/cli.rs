@@ -1,0 +1,204 @@
+//! The program as a user meets it: exit status, what is said where, caching, overrides, and prediction of a new event.
+
+use assert_cmd::Command;
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
+
+fn flare_pipe(arguments: &[&str]) -> Command {
+    let mut command = Command::cargo_bin("flare-pipe").expect("the program is built");
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).args(arguments);
+    command
+}
+
+/// Runs and returns exit status, stdout and stderr.
+fn said(arguments: &[&str]) -> (i32, String, String) {
+    let output = flare_pipe(arguments).output().expect("the program starts");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code().unwrap_or(-1), text(&output.stdout), text(&output.stderr))
+}
+
+/// A small version of the smoke run: few motions and epochs.
+const SMALL: &[&str] = &["--set", "pretrain.epochs=20", "--set", "distill.epochs=5", "--set", "calibrate.epochs=10"];
+
+fn run_small(run_dir: &Path, more: &[&str]) -> (i32, String, String) {
+    let run_dir = run_dir.to_str().expect("a path in UTF-8");
+    said(&[&["run", "configs/smoke.toml", "--run-dir", run_dir], SMALL, more].concat())
+}
+
+fn files(dir: &Path) -> BTreeMap<PathBuf, (SystemTime, u64)> {
+    let mut found = BTreeMap::new();
+    for entry in fs::read_dir(dir).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.is_dir() {
+            found.extend(files(&path));
+        } else {
+            let data = fs::metadata(&path).expect("a file");
+            found.insert(path, (data.modified().expect("a time"), data.len()));
+        }
+    }
+    found
+}
+
+#[test]
+fn a_whole_run_is_cached_explained_and_predicts() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (status, stdout, stderr) = run_small(dir.path(), &[]);
+    assert_eq!(status, 0, "{stderr}");
+    assert_eq!(stdout, "", "stdout is for data");
+    let site = dir.path().join("smoke");
+    let metrics: serde_json::Value =
+        serde_json::from_slice(&fs::read(site.join("metrics.json")).expect("metrics")).expect("JSON");
+    assert_eq!(metrics["site"], "smoke");
+    assert_eq!(metrics["test"].as_array().map(Vec::len), Some(8), "2 events, 2 components, 2 sensors");
+    for row in metrics["test"].as_array().expect("a list") {
+        assert!(row["nrmse_percent"]["fe"].as_f64().is_some_and(|v| v > 0.0), "{row}");
+    }
+    assert!(metrics["stages"]["pretrain"]["median_nrmse_percent"].is_number());
+    assert!(metrics["timings_s"]["pretrain"].is_number());
+    assert!(fs::read_to_string(site.join("report.html")).expect("a report").contains("synthetic twins"));
+
+    let before = files(dir.path());
+    let (status, _, stderr) = run_small(dir.path(), &[]);
+    assert_eq!(status, 0, "{stderr}");
+    assert_eq!(files(dir.path()), before, "a cached run rewrites nothing");
+
+    let (status, plan, _) = {
+        let run_dir = dir.path().to_str().expect("UTF-8");
+        said(
+            &[&["plan", "configs/smoke.toml", "--run-dir", run_dir], SMALL, &["--set", "calibrate.penalty=0.5"]]
+                .concat(),
+        )
+    };
+    assert_eq!(status, 0);
+    for line in plan.lines() {
+        let is_cached = line.contains("cached");
+        let follows = ["calibrate", "evaluate", "report"].iter().any(|s| line.starts_with(s));
+        assert_eq!(is_cached, !follows, "{line}");
+    }
+    assert!(plan.contains("`calibrate.penalty`: 0.01 → 0.5"), "{plan}");
+
+    predicts(dir.path());
+}
+
+fn predicts(run_dir: &Path) {
+    let dir = tempfile::tempdir().expect("a folder");
+    let wave = |t: f64| 0.3 * (9.0 * t).sin() * (-(t - 4.0) * (t - 4.0) / 4.0).exp();
+    let mut base = String::from("# a made-up event\ntime_s,base\n");
+    let mut window = String::from("time_s,middle,surface\n");
+    for k in 0..1000 {
+        let t = f64::from(k) * 0.01;
+        base += &format!("{t:.2},{}\n", wave(t));
+        if k < 60 {
+            window += &format!("{t:.2},{},{}\n", wave(t), wave(t));
+        }
+    }
+    let path = |name: &str| dir.path().join(name).to_str().expect("UTF-8").to_string();
+    fs::write(path("base.csv"), base).expect("written");
+    fs::write(path("window.csv"), window).expect("written");
+    let (input, initial) = (path("base.csv"), path("window.csv"));
+    for output in ["out.csv", "out.mcap"] {
+        let output = path(output);
+        let run_dir = run_dir.to_str().expect("UTF-8");
+        let arguments = ["predict", "configs/smoke.toml", "--component", "EW", "--run-dir", run_dir];
+        let files = ["--input", &input, "--window", &initial, "-o", &output];
+        let (status, _, stderr) = said(&[&arguments, &files[..], SMALL].concat());
+        assert_eq!(status, 0, "{stderr}");
+        assert!(fs::metadata(&output).expect("a file").len() > 1000);
+    }
+    let table = fs::read_to_string(path("out.csv")).expect("a table");
+    let mut lines = table.lines();
+    assert_eq!(lines.next(), Some("time_s,middle,surface"));
+    assert!(lines.next().is_some_and(|l| l.starts_with("0.25")), "the prediction begins after five samples of 0.05 s");
+    assert_eq!(table.lines().count(), 1 + 195);
+    let (status, _, stderr) = said(
+        &[
+            &["predict", "configs/smoke.toml", "--component", "UD", "--run-dir", run_dir.to_str().expect("UTF-8")],
+            &["--input", &input, "--window", &initial, "-o", &path("x.csv")][..],
+            SMALL,
+        ]
+        .concat(),
+    );
+    assert_ne!(status, 0);
+    assert!(stderr.contains("calibrate.UD"), "{stderr}");
+}
+
+#[test]
+fn every_problem_of_a_manifest_is_shown_at_once_with_its_line() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let text =
+        fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/smoke.toml")).expect("a manifest");
+    let text = text
+        .replacen("vs_m_s = 130.0", "vs_m_s = -130.0", 1)
+        .replacen("latent = 6", "latnet = 6", 1)
+        .replacen("law = \"sand\"", "law = \"snad\"", 1)
+        .replacen("depth_m = 10.0", "depth_m = \"ten\"", 1);
+    let path = dir.path().join("site.toml");
+    fs::write(&path, text).expect("written");
+    let (status, _, stderr) = said(&["check", path.to_str().expect("UTF-8")]);
+    assert_eq!(status, 2);
+    for part in ["unknown key `latnet`", "nearest: `latent`", "must be a number", "site.toml:", "^"] {
+        assert!(stderr.contains(part), "`{part}` in\n{stderr}");
+    }
+}
+
+#[test]
+fn ranges_and_names_are_checked_across_sections() {
+    let (status, _, stderr) = said(&[
+        "check",
+        "configs/smoke.toml",
+        "--set",
+        "site.layer[0].vs_m_s=-5",
+        "--set",
+        "law.sand.kind=\"hyperbollic\"",
+        "--set",
+        "records.test=[\"E1\"]",
+    ]);
+    assert_eq!(status, 2);
+    for part in ["20…5000 m/s, got -5", "nearest: `hyperbolic`", "E1"] {
+        assert!(stderr.contains(part), "`{part}` in\n{stderr}");
+    }
+}
+
+#[test]
+fn mistakes_on_the_command_line_end_with_two() {
+    for arguments in [
+        vec!["run", "configs/absent.toml"],
+        vec!["run", "configs/smoke.toml", "--pipeline", "flare"],
+        vec!["run", "configs/smoke.toml", "--only", "nothing"],
+        vec!["run", "configs/smoke.toml", "--set", "latent"],
+        vec!["frobnicate"],
+    ] {
+        let (status, stdout, stderr) = said(&arguments);
+        assert_eq!(status, 2, "{arguments:?}: {stderr}");
+        assert_eq!(stdout, "");
+        assert!(!stderr.is_empty());
+    }
+}
+
+#[test]
+fn lists_name_what_a_manifest_can_name() {
+    for (what, name) in
+        [("laws", "sanisand"), ("effects", "layer_velocity"), ("formats", "csv"), ("stages", "calibrate")]
+    {
+        let (status, stdout, _) = said(&["list", what]);
+        assert_eq!(status, 0);
+        assert!(stdout.lines().any(|l| l.starts_with(name)), "{stdout}");
+    }
+    let (status, stdout, _) = said(&["schema"]);
+    assert_eq!(status, 0);
+    let schema: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    assert!(schema["definitions-by-kind"]["law"]["sanisand"].is_object());
+}
+
+#[test]
+fn every_shipped_manifest_is_right() {
+    for entry in fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("configs")).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        if path.extension().is_some_and(|e| e == "toml") {
+            let (status, _, stderr) = said(&["check", path.to_str().expect("UTF-8")]);
+            assert_eq!(status, 0, "{stderr}");
+        }
+    }
+}
