@@ -32,7 +32,7 @@ pub enum Cause {
     /// The base motion is empty, has no step, or holds a value that is not finite.
     Input(String),
     /// Whoever receives the frames could not.
-    Sink(Error),
+    Sink(Box<Error>),
 }
 
 impl fmt::Display for Failure {
@@ -55,7 +55,7 @@ impl std::error::Error for Failure {}
 impl From<Failure> for Error {
     fn from(failure: Failure) -> Self {
         match failure.cause {
-            Cause::Sink(error) => error,
+            Cause::Sink(error) => *error,
             _ => Self::new(failure.to_string()).hint("a smaller `analysis.max_step_s`, or a weaker base motion"),
         }
     }

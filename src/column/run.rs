@@ -69,7 +69,7 @@ impl Column {
         let mut summary = RunSummary::default();
         let mut step_s = analysis.initial_step_s;
         let mut easy = 0;
-        frames.show(self, &stepper, 0.0, base[0], sink).map_err(|e| fail(0.0, 0.0, Cause::Sink(e)))?;
+        frames.show(self, &stepper, 0.0, base[0], sink).map_err(|e| fail(0.0, 0.0, Cause::Sink(Box::new(e))))?;
         for k in 1..=n_output {
             let end_s = k as f64 * output_s;
             let mut time_s = (k - 1) as f64 * output_s;
@@ -103,7 +103,9 @@ impl Column {
                     }
                 }
             }
-            frames.show(self, &stepper, end_s, base_at(end_s), sink).map_err(|e| fail(end_s, 0.0, Cause::Sink(e)))?;
+            frames
+                .show(self, &stepper, end_s, base_at(end_s), sink)
+                .map_err(|e| fail(end_s, 0.0, Cause::Sink(Box::new(e))))?;
         }
         Ok(summary)
     }

@@ -222,7 +222,7 @@ impl<'a> Stepper<'a> {
                 r[1] = 0.0;
             }
             let worst = r[0].abs().max(r[1].abs());
-            if !(worst <= size) {
+            if worst > size || worst.is_nan() {
                 (node, size) = (i, worst);
             }
         }

@@ -1,5 +1,7 @@
 //! Physics of the column and its laws against closed forms, finite differences, convergence slopes and independent results.
 
+mod anything;
+mod equilibrium;
 mod laws;
 mod masing;
 mod reference;
