@@ -14,7 +14,7 @@ fn undrained_cam_clay_reaches_the_exact_critical_state() {
         let law = build("cam_clay", &format!("ocr = {ocr}"));
         // Isotropic start; constant volume: p_f = ½ p_c (p₀/(½p_c))^(κ/λ) and τ_f = M p_f/√3.
         let (response, _) = follow(law.as_ref(), &point(100e3), Increment { gamma: 2e-4, eps_yy: 0.0 }, 4000);
-        let (p0, pc) = (100e3, ocr * 100e3);
+        let (p0, pc): (f64, f64) = (100e3, ocr * 100e3);
         let p_f = 0.5 * pc * (2.0 * p0 / pc).powf(kappa / lambda);
         let exact = m * p_f / 3.0_f64.sqrt();
         println!("OCR {ocr}: s_u {:.4} kPa, exact {:.4} kPa", response.tau_pa / 1e3, exact / 1e3);
