@@ -33,7 +33,7 @@ impl BlockTridiagonal {
         let mut above = [0.0; 4]; // D⁻¹U of the row above
         let mut x = [0.0; 2];
         let mut is_regular = true;
-        for (i, b) in b.iter_mut().enumerate() {
+        for (i, row) in b.iter_mut().enumerate() {
             let l = self.lower[i];
             let d = sub(self.diagonal[i], mul(l, above));
             let det = d[0] * d[3] - d[1] * d[2];
@@ -41,8 +41,8 @@ impl BlockTridiagonal {
             is_regular &= inv.is_finite() && inv != 0.0;
             let inverse = [d[3] * inv, -d[1] * inv, -d[2] * inv, d[0] * inv];
             let lx = apply(l, x);
-            x = apply(inverse, [b[0] - lx[0], b[1] - lx[1]]);
-            *b = x;
+            x = apply(inverse, [row[0] - lx[0], row[1] - lx[1]]);
+            *row = x;
             above = mul(inverse, self.upper[i]);
             self.factor[i] = above;
         }

@@ -4,8 +4,11 @@
 //! shear-column kinematics only: shear strain γ and vertical strain ε_yy, tension positive, ε_xx = ε_zz = 0. Stresses
 //! handed back are **effective**; the column adds the pore water.
 
+mod cam_clay;
 mod elastic;
 mod hyperbolic;
+mod mohr_coulomb;
+mod principal;
 mod sanisand;
 
 use crate::error::{Error, Result};
@@ -13,7 +16,8 @@ use crate::registry::Entry;
 use std::fmt;
 
 /// Every law a manifest can name: a file, its `mod` line and a line here.
-pub const LAWS: &[Entry<dyn Law>] = &[elastic::ENTRY, hyperbolic::ENTRY, sanisand::ENTRY];
+pub const LAWS: &[Entry<dyn Law>] =
+    &[elastic::ENTRY, hyperbolic::ENTRY, mohr_coulomb::ENTRY, cam_clay::ENTRY, sanisand::ENTRY];
 
 /// Where a soil point is and what it carries before shaking; compression positive, effective.
 #[derive(Debug, Clone, Copy, PartialEq)]
