@@ -74,7 +74,7 @@ fn strong_centrifuge_motions_finish() {
         sand(0.57, 192.11),
         mud(2.86, 1733.0, 128.25, 1.355, 0.910, 435.73),
         sand(0.58, 200.97),
-        mud(3.14, 1733.0, 138.70, 1.352, 0.831, 435.73),
+        mud(23.45 - 20.31, 1733.0, 138.70, 1.352, 0.831, 435.73),
         sand(0.57, 209.36),
         mud(1.09, 1733.0, 144.40, 1.351, 0.786, 435.73),
         sand(0.57, 213.05),
@@ -121,4 +121,40 @@ fn strong_hyperbolic_motions_finish() {
         );
         assert!(spike(&surface) < 0.5);
     }
+}
+
+#[test]
+#[ignore = "a minute of CPU: the whole ensemble"]
+fn a_hundred_undrained_lotung_motions_finish() {
+    use rayon::prelude::*;
+    let column = Column::new(&lotung(200), &Analysis::default()).expect("a column");
+    let start = Instant::now();
+    let runs: Vec<(f64, f64, Result<flare_pipe::column::RunSummary, String>)> = (0..100_u64)
+        .into_par_iter()
+        .map(|i| {
+            let (low, high) =
+                [(0.0075, 0.02), (0.0075, 0.02), (0.0075, 0.02), (0.02, 0.05), (0.05, 0.112)][i as usize % 5];
+            let pga_g = low + (high - low) * (i / 5) as f64 / 19.0;
+            let start = Instant::now();
+            let result = column.run(0.005, &motion(100 + i, pga_g, 15.0), &mut |_| Ok(()));
+            (pga_g, start.elapsed().as_secs_f64(), result.map_err(|failure| failure.to_string()))
+        })
+        .collect();
+    println!("100 motions in {:.1} s", start.elapsed().as_secs_f64());
+    for (name, low, high) in [("weak", 0.0, 0.02), ("moderate", 0.02, 0.05), ("strong", 0.05, 0.2)] {
+        let band: Vec<_> = runs.iter().filter(|(pga, ..)| *pga > low && *pga <= high).collect();
+        let mut times: Vec<f64> = band.iter().map(|(_, time, _)| *time).collect();
+        times.sort_by(f64::total_cmp);
+        let sums = band.iter().filter_map(|(.., r)| r.as_ref().ok());
+        let (steps, iterations) = sums.fold((0, 0), |(s, n), r| (s + r.steps, n + r.newton_iterations));
+        println!(
+            "{name}: {} motions, median {:.2} s, worst {:.2} s, {:.2} iterations a step",
+            band.len(),
+            times[times.len() / 2],
+            times[times.len() - 1],
+            iterations as f64 / steps as f64
+        );
+    }
+    let failed: Vec<_> = runs.iter().filter(|(.., r)| r.is_err()).collect();
+    assert!(failed.is_empty(), "{failed:?}");
 }
