@@ -25,7 +25,9 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 
 /// Isotropic linear elasticity.
 ///
-///     τ = G γ,   σ'_yy = σ'_yy0 + M ε_yy,   G = ρ Vs²,   M = 2G(1−ν)/(1−2ν)        (1)
+/// ```text
+/// τ = G γ,   σ'_yy = σ'_yy0 + M ε_yy,   G = ρ Vs²,   M = 2G(1−ν)/(1−2ν)        (1)
+/// ```
 ///
 /// | symbol | field           | unit | range     |
 /// |--------|-----------------|------|-----------|

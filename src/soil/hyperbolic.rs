@@ -32,13 +32,15 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 
 /// Modified Kondner–Zelasko backbone with extended Masing unloading and a damping reduction factor.
 ///
-///     backbone            τ_b(γ) = G γ / (1 + |γ/γ_r|^s)                                            (1)
-///     from reversal (γ_a, τ_a), x = γ − γ_a:
-///                         τ = τ_a + F [2 τ_b(x/2) − G_m x] + G_m x                                   (2)
-///     with the secant     G_m = τ_b(γ_m)/γ_m at the largest strain γ_m so far                       (3)
-///     and the factor      F = b (G_m/G)^0.1,   b = 0.6329 − 0.0057 ln N                              (4)
-///     reference strain    γ_r = (0.0352 + 0.0010 PI OCR^0.3246) (σ'₀/p_a)^0.3483 / 100              (5)
-///     small strain        ξ_min = (0.8005 + 0.0129 PI OCR^−0.1069) (σ'₀/p_a)^−0.2889 / 100          (6)
+/// ```text
+/// backbone            τ_b(γ) = G γ / (1 + |γ/γ_r|^s)                                            (1)
+/// from reversal (γ_a, τ_a), x = γ − γ_a:
+///                     τ = τ_a + F [2 τ_b(x/2) − G_m x] + G_m x                                   (2)
+/// with the secant     G_m = τ_b(γ_m)/γ_m at the largest strain γ_m so far                       (3)
+/// and the factor      F = b (G_m/G)^0.1,   b = 0.6329 − 0.0057 ln N                              (4)
+/// reference strain    γ_r = (0.0352 + 0.0010 PI OCR^0.3246) (σ'₀/p_a)^0.3483 / 100              (5)
+/// small strain        ξ_min = (0.8005 + 0.0129 PI OCR^−0.1069) (σ'₀/p_a)^−0.2889 / 100          (6)
+/// ```
 ///
 /// Since the straight part of (2) encloses nothing, the loop damping is F times Masing's, which is Darendeli's curve.
 /// A curve that meets an earlier reversal goes on as if the inner loop had not been; one that passes γ_m is the backbone.

@@ -48,17 +48,19 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 ///
 /// Compression positive, p̄ = p' + p_t in **every** equation, r = s/p̄ (Macaulay brackets ⟨⟩):
 ///
-///     yield        f = ‖s − p̄α‖ − √⅔ m p̄                                                        (1)
-///     elasticity   G = G₀ p_a (2.97−e)²/(1+e) √(p̄/p_a),   K = 2(1+ν)/(3(1−2ν)) G                   (2)
-///     state        Ψ = e − e₀ + λ_c (p̄/p_a)^ξ,   n = (r−α)/‖r−α‖                                    (3)
-///     Lode angle   cos3θ = √6 tr n³,   g = 2c/((1+c) − (1−c)cos3θ),   c = M_e/M_c                  (4)
-///     bounding     α^b = √⅔ (g M_c e^{−n_b Ψ} − m) n,   dilatancy α^d = √⅔ (g M_c e^{n_d Ψ} − m) n   (5)
-///     hardening    dα = ⟨L⟩ ⅔ h (α^b−α),   h = b₀/((α−α_in):n),   b₀ = G₀h₀(1−c_h e)/√(p̄/p_a)        (6)
-///     dilatancy    D = A₀(1+⟨z:n⟩) (α^d−α):n                                                       (7)
-///     fabric       dz = −c_z ⟨−dε_v^p⟩ (z_max n + z)                                               (8)
-///     flow         R = B n − C(n² − I/3) + D I/3,  B = 1+1.5(1−c)/c g cos3θ,  C = 3√1.5 (1−c)/c g   (9)
-///     multiplier   L = (2G n:de − K (n:r) dε_v) / (K_p + 2G(B − C tr n³) − K D (n:r)),
-///                  K_p = ⅔ p̄ h (α^b−α):n                                                           (10)
+/// ```text
+/// yield        f = ‖s − p̄α‖ − √⅔ m p̄                                                        (1)
+/// elasticity   G = G₀ p_a (2.97−e)²/(1+e) √(p̄/p_a),   K = 2(1+ν)/(3(1−2ν)) G                   (2)
+/// state        Ψ = e − e₀ + λ_c (p̄/p_a)^ξ,   n = (r−α)/‖r−α‖                                    (3)
+/// Lode angle   cos3θ = √6 tr n³,   g = 2c/((1+c) − (1−c)cos3θ),   c = M_e/M_c                  (4)
+/// bounding     α^b = √⅔ (g M_c e^{−n_b Ψ} − m) n,   dilatancy α^d = √⅔ (g M_c e^{n_d Ψ} − m) n   (5)
+/// hardening    dα = ⟨L⟩ ⅔ h (α^b−α),   h = b₀/((α−α_in):n),   b₀ = G₀h₀(1−c_h e)/√(p̄/p_a)        (6)
+/// dilatancy    D = A₀(1+⟨z:n⟩) (α^d−α):n                                                       (7)
+/// fabric       dz = −c_z ⟨−dε_v^p⟩ (z_max n + z)                                               (8)
+/// flow         R = B n − C(n² − I/3) + D I/3,  B = 1+1.5(1−c)/c g cos3θ,  C = 3√1.5 (1−c)/c g   (9)
+/// multiplier   L = (2G n:de − K (n:r) dε_v) / (K_p + 2G(B − C tr n³) − K D (n:r)),
+///              K_p = ⅔ p̄ h (α^b−α):n                                                           (10)
+/// ```
 ///
 /// | symbol | field (paper's table) | unit | range |
 /// |--------|-----------------------|------|-------|
