@@ -31,11 +31,13 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 ///
 /// Compression positive, effective; q = √(3/2) ‖s‖:
 ///
-///     yield       f = q² + M² p'(p' − p'_c) = 0, associated                                (1)
-///     elasticity  dp'/p' = (1+e₀)/κ dε_v^e,   ds = 2G de^e,   G = ρVs² of the initial state   (2)
-///     hardening   dp'_c/p'_c = (1+e₀)/(λ−κ) dε_v^p                                         (3)
-///     return      p' = p'_tr e^{−(1+e₀)/κ x},  p'_c = p'_c,n e^{(1+e₀)/(λ−κ) x},  s = s_tr/(1+6Gφ),
-///                 x = φ M²(2p' − p'_c),  f = 0   for  x = Δε_v^p  and φ                      (4)
+/// ```text
+/// yield       f = q² + M² p'(p' − p'_c) = 0, associated                                (1)
+/// elasticity  dp'/p' = (1+e₀)/κ dε_v^e,   ds = 2G de^e,   G = ρVs² of the initial state   (2)
+/// hardening   dp'_c/p'_c = (1+e₀)/(λ−κ) dε_v^p                                         (3)
+/// return      p' = p'_tr e^{−(1+e₀)/κ x},  p'_c = p'_c,n e^{(1+e₀)/(λ−κ) x},  s = s_tr/(1+6Gφ),
+///             x = φ M²(2p' − p'_c),  f = 0   for  x = Δε_v^p  and φ                      (4)
+/// ```
 ///
 /// | symbol | field             | unit | range |
 /// |--------|-------------------|------|-------|

@@ -31,9 +31,11 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 ///
 /// Compression positive, effective, σ₁ ≥ σ₂ ≥ σ₃:
 ///
-///     yield   f_ij = (σ_i − σ_j) − (σ_i + σ_j) sin φ' − 2c' cos φ',   f₁₃ = 0                  (1)
-///     flow    the gradient of (1) with ψ for φ'                                               (2)
-///     return  σ = σ_tr − D Bᵀ (A D Bᵀ)⁻¹ (A σ_tr − 2c' cos φ')                                 (3)
+/// ```text
+/// yield   f_ij = (σ_i − σ_j) − (σ_i + σ_j) sin φ' − 2c' cos φ',   f₁₃ = 0                  (1)
+/// flow    the gradient of (1) with ψ for φ'                                               (2)
+/// return  σ = σ_tr − D Bᵀ (A D Bᵀ)⁻¹ (A σ_tr − 2c' cos φ')                                 (3)
+/// ```
 ///
 /// with A, B the gradients of yield and flow on the active planes: one on a face, two on an edge; on the apex
 /// σ = −c' cot φ'. The tangent is the derivative of (3), its directions turning with the trial stress.

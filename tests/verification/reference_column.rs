@@ -1,9 +1,9 @@
 //! The undrained 0.02 g column against the independent one.
 
 use crate::reference::columns;
-use crate::support::{layer, lotung, peak, profile, rayleigh, relative_rms, shake};
+use crate::robustness::spike;
+use crate::support::{layer, peak, profile, rayleigh, relative_rms, shake};
 use flare_pipe::column::{Analysis, Profile};
-use std::time::Instant;
 
 /// The reference's column: four velocities, G₀ as given there, uniform elements.
 pub fn reference_profile() -> Profile {
@@ -40,7 +40,7 @@ fn weak_motion_column_agrees_with_the_independent_one() {
 #[test]
 fn soil_points_follow_the_stress_of_the_independent_column() {
     for (name, vertical_pa, g_0) in
-        [("col_pt005_pga020_loop_z3.csv", 32_478.5, 296.9), ("col_pt005_pga020_loop_z11.csv", 103_022.0, 294.2)]
+        [("col_pt005_pga020_loop_z3.csv", 32_478.5, 296.9), ("col_pt005_pga020_loop_z11.csv", 103_022.0, 308.4)]
     {
         let Some(reference) = columns(name) else { return };
         let law = crate::laws::build("sanisand", &format!("g_0 = {g_0}\np_t_in_moduli = false"));
@@ -61,23 +61,22 @@ fn soil_points_follow_the_stress_of_the_independent_column() {
             taus.push(law.update(step, &state, &mut next).expect("a response").tau_pa / 1e3);
             std::mem::swap(&mut state, &mut next);
         }
-        let miss = relative_rms(&taus, &reference[3]);
-        println!(
-            "{name}: τ relative rms difference {miss:.4}, peak {:.4} against {:.4} kPa",
-            peak(&taus),
-            peak(&reference[3])
-        );
+        // The paths are one until 1.3 s. Then, after a small reversal, the other code's stress moves aside by 0.04–0.08 kPa
+        // and stays parallel: it samples the turning point (α_in) once a step, ours on the way.
+        let until = reference[0].iter().position(|t| *t > 1.3).expect("a longer record");
+        let miss = relative_rms(&taus[..until], &reference[3][..until]);
+        let later = relative_rms(&taus, &reference[3]);
+        println!("{name}: τ relative rms difference {miss:.4} until 1.3 s, {later:.4} in all");
+        assert!(miss < 0.02, "{name}");
     }
 }
 
 #[test]
-fn strong_motion_finishes() {
+fn strong_undrained_motion_finishes_where_the_independent_column_does_not() {
     let Some(base) = columns("base_motion_pga100.csv") else { return };
-    for (name, profile) in [("reference", reference_profile()), ("lotung", lotung(200))] {
-        let start = Instant::now();
-        let (rows, summary) = shake(&profile, &Analysis::default(), 0.005, &base[1]);
-        println!("{name}: {summary:?} in {:.3} s", start.elapsed().as_secs_f64());
-        let surface: Vec<f64> = rows.iter().map(|r| r[0]).collect();
-        println!("peak {:.4} g", peak(&surface) / 9.81);
-    }
+    let (rows, summary) = shake(&reference_profile(), &Analysis::default(), 0.005, &base[1]);
+    let surface: Vec<f64> = rows.iter().map(|r| r[0]).collect();
+    println!("{summary:?}, peak {:.4} g, spike {:.3}", peak(&surface) / 9.806_65, spike(&surface));
+    assert_eq!(rows.len(), base[1].len());
+    assert!(summary.cuts < 30 && spike(&surface) < 0.3);
 }

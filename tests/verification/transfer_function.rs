@@ -90,7 +90,6 @@ fn transfer_miss(profile: &Profile, dt_s: f64, frequencies_hz: &[f64]) -> f64 {
         let truth = exact(profile, *f);
         (ours[0] - truth[0]).hypot(ours[1] - truth[1]) / truth[0].hypot(truth[1])
     };
-    println!("{:?}", frequencies_hz.iter().map(|f| (*f, miss(f))).collect::<Vec<_>>());
     frequencies_hz.iter().map(miss).fold(0.0, f64::max)
 }
 
