@@ -53,7 +53,7 @@ pub struct PretrainSettings {
     pub checkpoint_every: usize,
     /// Latent states beyond this count as diverged.
     pub state_bound: f64,
-    /// A candidate must also survive the validation motions multiplied by this.
+    /// A candidate must also survive the validation motions multiplied by this (1 asks for the motions alone).
     pub stress_factor: f64,
 }
 
@@ -68,8 +68,8 @@ impl Default for PretrainSettings {
             final_segments: 2,
             encoder_hidden: vec![128, 128],
             decoder_hidden: vec![128, 128],
-            epochs: 500,
-            batch: 32,
+            epochs: 400,
+            batch: 16,
             learning_rate: 1e-3,
             dynamics_learning_rate: 1e-3,
             final_rate_share: 0.01,
@@ -83,7 +83,7 @@ impl Default for PretrainSettings {
             validate_every: 5,
             checkpoint_every: 5,
             state_bound: 1e3,
-            stress_factor: 2.0,
+            stress_factor: 1.0,
         }
     }
 }
