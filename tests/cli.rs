@@ -80,6 +80,23 @@ fn a_whole_run_is_cached_explained_and_predicts() {
     assert!(plan.contains("`calibrate.penalty`: 0.01 → 0.5"), "{plan}");
 
     predicts(dir.path());
+
+    let alone = tempfile::tempdir().expect("a folder");
+    let (status, _, stderr) = run_small(alone.path(), &["--jobs", "1"]);
+    assert_eq!(status, 0, "{stderr}");
+    assert_eq!(contents(&alone.path().join("cache")), contents(&dir.path().join("cache")), "on one thread as on many");
+}
+
+/// Every file below `dir` by its path there and its bytes, but for the times that stages took.
+fn contents(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
+    let is_output = |path: &PathBuf| path.file_name().is_some_and(|n| n != "timing.toml");
+    let relative = |path: &Path| path.strip_prefix(dir).expect("below").to_path_buf();
+    files(dir)
+        .into_keys()
+        .filter(is_output)
+        .map(|path| (relative(&path), fs::read(&path).expect("a file")))
+        .filter(|(path, _)| path.extension().is_none_or(|e| e != "lock"))
+        .collect()
 }
 
 fn predicts(run_dir: &Path) {
