@@ -5,11 +5,18 @@ use crate::robustness::spike;
 use crate::support::{layer, peak, profile, rayleigh, relative_rms, shake};
 use flare_pipe::column::{Analysis, Profile};
 
-/// The reference's column: four velocities, G₀ as given there, uniform elements.
+/// The reference's column: four velocities, G₀ as given there, uniform elements, and that code's two conventions: moduli
+/// without p_t, and α_in moved at every reversal. With ours for the second the surface peak is 0.0389 g, not 0.0407 g.
 pub fn reference_profile() -> Profile {
     let h = 0.085;
     let soil = |count: f64, vs: f64, g_0: f64| {
-        layer(count * h, 1900.0, vs, "sanisand", &format!("g_0 = {g_0}\np_t_in_moduli = false"))
+        layer(
+            count * h,
+            1900.0,
+            vs,
+            "sanisand",
+            &format!("g_0 = {g_0}\np_t_in_moduli = false\nreset_on_reversal = true"),
+        )
     };
     let layers =
         vec![soil(24.0, 120.0, 364.9), soil(47.0, 140.0, 296.9), soil(58.0, 165.0, 294.2), soil(71.0, 190.0, 308.4)];
@@ -33,7 +40,7 @@ fn weak_motion_column_agrees_with_the_independent_one() {
         let miss = relative_rms(&ours, theirs);
         let (a, b) = (peak(&ours) / 9.806_65, peak(theirs) / 9.806_65);
         println!("{name}: peak {a:.4} g against {b:.4} g, relative rms difference {miss:.4}");
-        assert!(miss < 0.15 && (a / b - 1.0).abs() < 0.1, "{name}");
+        assert!(miss < 0.03 && (a / b - 1.0).abs() < 0.01, "{name}");
     }
 }
 
@@ -43,7 +50,8 @@ fn soil_points_follow_the_stress_of_the_independent_column() {
         [("col_pt005_pga020_loop_z3.csv", 32_478.5, 296.9), ("col_pt005_pga020_loop_z11.csv", 103_022.0, 308.4)]
     {
         let Some(reference) = columns(name) else { return };
-        let law = crate::laws::build("sanisand", &format!("g_0 = {g_0}\np_t_in_moduli = false"));
+        let law =
+            crate::laws::build("sanisand", &format!("g_0 = {g_0}\np_t_in_moduli = false\nreset_on_reversal = true"));
         let point = flare_pipe::soil::Point {
             depth_m: 3.0,
             density_kg_m3: 1900.0,
@@ -61,13 +69,12 @@ fn soil_points_follow_the_stress_of_the_independent_column() {
             taus.push(law.update(step, &state, &mut next).expect("a response").tau_pa / 1e3);
             std::mem::swap(&mut state, &mut next);
         }
-        // The paths are one until 1.3 s. Then, after a small reversal, the other code's stress moves aside by 0.04–0.08 kPa
-        // and stays parallel: it samples the turning point (α_in) once a step, ours on the way.
+        // The strains are given at every second step of that column, so a turning point may be missed later on.
         let until = reference[0].iter().position(|t| *t > 1.3).expect("a longer record");
         let miss = relative_rms(&taus[..until], &reference[3][..until]);
         let later = relative_rms(&taus, &reference[3]);
         println!("{name}: τ relative rms difference {miss:.4} until 1.3 s, {later:.4} in all");
-        assert!(miss < 0.02, "{name}");
+        assert!(miss < 2e-3 && later < 0.05, "{name}");
     }
 }
 

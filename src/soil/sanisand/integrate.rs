@@ -158,6 +158,12 @@ fn advance<L: Lane>(c: &Constants, start: State<L>, d_gamma: L, d_eps: L) -> (St
     };
     let dp = b * mean_root * dv;
 
+    let mut start = start;
+    if c.reset_on_reversal {
+        let turned = dot(add(start.alpha, -one, start.alpha_in), ds);
+        start.alpha_in = select3::<L>(L::lt(turned, zero), start.alpha, start.alpha_in);
+    }
+
     // f² along the line: qa t² + qb t + qc.
     let k2 = L::splat(c.yield_radius * c.yield_radius);
     let from = add(start.s, -start.p, start.alpha);

@@ -75,7 +75,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 ///
 /// Conventions: without `g_0`, G₀ makes G = ρVs² at each point's own geostatic stress. α and α_in start at r₀ (the
 /// stress is the centre of the yield surface), z at 0. e and p̄ in (2) are the current ones; `p_t_in_moduli = false` takes p' there. α_in moves to α when
-/// (α−α_in):n < 0. (10) is evaluated with numerator and denominator multiplied by (α−α_in):n, which takes the
+/// (α−α_in):n < 0 in plastic loading; `reset_on_reversal = true` moves it whenever (α−α_in):Δs < 0. (10) is evaluated with numerator and denominator multiplied by (α−α_in):n, which takes the
 /// singularity out of (6): right after a reversal the response is elastic, without a cap.
 /// Contraction (D > 0) fades as x²(3−2x), x = p̄/p_t, where p' < 0, so that p̄ stays positive; (7) is untouched for p' ≥ 0.
 ///
@@ -122,6 +122,9 @@ struct Sanisand {
     p_t_over_p_a: f64,
     /// Whether p_t counts in the elastic moduli (2); some codes leave it out there alone.
     p_t_in_moduli: bool,
+    /// Whether α_in moves at every reversal of the increment, elastic or not, as some codes do: then each small
+    /// unloading stiffens the reloading (overshooting).
+    reset_on_reversal: bool,
     /// Bulk modulus of water, GPa (0: drained).
     k_w_gpa: f64,
     /// Elastic constant G₀; from ρVs² where absent.
@@ -155,6 +158,7 @@ impl Default for Sanisand {
             c_z: 600.0,
             p_t_over_p_a: 0.05,
             p_t_in_moduli: true,
+            reset_on_reversal: false,
             k_w_gpa: 2.2,
             g_0: None,
             damping_ratio: 0.0,

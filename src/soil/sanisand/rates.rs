@@ -39,6 +39,7 @@ pub(super) struct Constants {
     /// What (2) subtracts from p̄.
     pub stiffness_shift: f64,
     pub yield_radius: f64,
+    pub reset_on_reversal: bool,
     pub tolerance: f64,
     pub max_substeps: u32,
     e_0: f64,
@@ -64,6 +65,7 @@ impl Constants {
             p_t: law.p_t_over_p_a * p_a,
             k_per_g: 2.0 * (1.0 + law.nu) / (3.0 * (1.0 - 2.0 * law.nu)),
             stiffness_shift: if law.p_t_in_moduli { 0.0 } else { law.p_t_over_p_a * p_a },
+            reset_on_reversal: law.reset_on_reversal,
             yield_radius: (2.0_f64 / 3.0).sqrt() * law.m,
             tolerance: law.tolerance,
             max_substeps: law.max_substeps,
