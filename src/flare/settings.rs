@@ -53,7 +53,7 @@ pub struct PretrainSettings {
     pub checkpoint_every: usize,
     /// Latent states beyond this count as diverged.
     pub state_bound: f64,
-    /// A candidate must also survive the validation motions multiplied by this.
+    /// A candidate must also survive the validation motions multiplied by this (1 asks for the motions alone).
     pub stress_factor: f64,
 }
 
@@ -68,8 +68,8 @@ impl Default for PretrainSettings {
             final_segments: 2,
             encoder_hidden: vec![128, 128],
             decoder_hidden: vec![128, 128],
-            epochs: 500,
-            batch: 32,
+            epochs: 400,
+            batch: 16,
             learning_rate: 1e-3,
             dynamics_learning_rate: 1e-3,
             final_rate_share: 0.01,
@@ -83,17 +83,20 @@ impl Default for PretrainSettings {
             validate_every: 5,
             checkpoint_every: 5,
             state_bound: 1e3,
-            stress_factor: 2.0,
+            stress_factor: 1.0,
         }
     }
 }
 
 impl PretrainSettings {
-    /// The same sizes trained exactly as published: no linear start, no weighting, no mirroring, constant rates.
+    /// The same sizes trained as published: no linear start, no weighting, no mirroring, constant rates. The batch and the
+    /// weights of the terms, which were not published, are those of the benchmark.
     #[must_use]
     pub fn as_published(&self) -> Self {
         Self {
             final_segments: self.segments,
+            batch: 32,
+            loss: LossWeights { reconstruction: 1.0, rollout: 1.0, latent: 0.1, equation: 0.1, sparsity: 1e-4 },
             dynamics_learning_rate: self.learning_rate,
             final_rate_share: 1.0,
             amplitude_weighting: 0.0,
@@ -157,7 +160,7 @@ pub struct LossWeights {
 
 impl Default for LossWeights {
     fn default() -> Self {
-        Self { reconstruction: 0.5, rollout: 1.0, latent: 0.1, equation: 0.01, sparsity: 1e-4 }
+        Self { reconstruction: 0.5, rollout: 1.0, latent: 0.01, equation: 0.001, sparsity: 1e-4 }
     }
 }
 
