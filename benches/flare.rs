@@ -77,6 +77,7 @@ fn main() {
                 validate_every: 1000,
                 stress_factor: 1.0,
                 state_bound: 1e6,
+                batch,
                 ..base.as_published()
             };
             for threads in [1, 2] {

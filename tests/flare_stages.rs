@@ -31,6 +31,7 @@ fn settings() -> PretrainSettings {
         threshold_every: 15,
         validate_every: 5,
         checkpoint_every: 5,
+        stress_factor: 2.0,
         ..Default::default()
     }
 }

@@ -89,11 +89,14 @@ impl Default for PretrainSettings {
 }
 
 impl PretrainSettings {
-    /// The same sizes trained exactly as published: no linear start, no weighting, no mirroring, constant rates.
+    /// The same sizes trained as published: no linear start, no weighting, no mirroring, constant rates. The batch and the
+    /// weights of the terms, which were not published, are those of the benchmark.
     #[must_use]
     pub fn as_published(&self) -> Self {
         Self {
             final_segments: self.segments,
+            batch: 32,
+            loss: LossWeights { reconstruction: 1.0, rollout: 1.0, latent: 0.1, equation: 0.1, sparsity: 1e-4 },
             dynamics_learning_rate: self.learning_rate,
             final_rate_share: 1.0,
             amplitude_weighting: 0.0,
@@ -157,7 +160,7 @@ pub struct LossWeights {
 
 impl Default for LossWeights {
     fn default() -> Self {
-        Self { reconstruction: 0.5, rollout: 1.0, latent: 0.1, equation: 0.01, sparsity: 1e-4 }
+        Self { reconstruction: 0.5, rollout: 1.0, latent: 0.01, equation: 0.001, sparsity: 1e-4 }
     }
 }
 
