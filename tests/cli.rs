@@ -77,7 +77,7 @@ fn a_whole_run_is_cached_explained_and_predicts() {
         let follows = ["calibrate", "evaluate", "report"].iter().any(|s| line.starts_with(s));
         assert_eq!(is_cached, !follows, "{line}");
     }
-    assert!(plan.contains("`calibrate.penalty`: 0.01 → 0.5"), "{plan}");
+    assert!(plan.contains("`calibrate.penalty`: 1.0 → 0.5"), "{plan}");
 
     predicts(dir.path());
 

@@ -249,10 +249,10 @@ impl Default for CalibrateSettings {
             epochs: 600,
             learning_rate: 5e-4,
             final_rate_share: 0.02,
-            penalty: 0.01,
+            penalty: 1.0,
             threshold: 1e-3,
             threshold_every: 200,
-            amplitude_weighting: 0.5,
+            amplitude_weighting: 1.0,
             validate_every: 5,
             state_bound: 1e3,
         }
