@@ -48,7 +48,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | p'_c0  | `p_c0_kpa` (else OCR (p'₀ + q₀²/(M²p'₀))) | kPa | > 0 |
 /// | ξ      | `damping_ratio`   | –    | 0…0.5 |
 /// | K_w    | `k_w_gpa`         | GPa  | 0…10  |
-/// | state  | xx, yy, zz, xy, p'_c, G | [6] | Pa |
+/// | state  | xx, yy, zz, xy, p'_c, G | `[6]` | Pa |
 ///
 /// Effective stresses: with `vertical = "restrained"` or pore water the volume is (nearly) constant and (4) gives the
 /// undrained strength by itself, so no separate total-stress strength is declared. A geostatic stress beyond p'_c0

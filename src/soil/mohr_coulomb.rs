@@ -48,7 +48,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | ψ      | `dilation_angle_deg` | °    | 0…φ'      |
 /// | ξ      | `damping_ratio`      | –    | 0…0.5     |
 /// | n, K_w | `porosity`, `k_w_gpa`| –, GPa |         |
-/// | state  | xx, yy, zz, xy, G    | [5]  | Pa        |
+/// | state  | xx, yy, zz, xy, G    | `[5]` | Pa        |
 ///
 /// Limits: no hysteresis below yield, constant dilation without end. An initial stress outside (1) is refused.
 /// Check: `tests/verification/strength.rs`: limit load, faces and edges, tangent.
