@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::flare::{CalibrateSettings, Event, SourceModel, SparseEncoder, calibrate};
 use crate::manifest::SensorsSection;
 use crate::pipeline::{Stage, Task};
-use crate::records::{Record, RecordSettings, Split};
+use crate::records::{Record, Split};
 
 /// Calibrates one component.
 pub struct Calibrate;
@@ -25,20 +25,13 @@ impl Stage for Calibrate {
     }
 
     fn reads(&self) -> &'static [&'static str] {
-        &[
-            "calibrate",
-            "sensors",
-            "records.format",
-            "records.components",
-            "records.train",
-            "records.validation",
-            "records.test",
-        ]
+        // Not `records.test`: what is held out is not even opened here.
+        &["calibrate", "sensors", "records.format", "records.components", "records.train", "records.validation"]
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let settings: CalibrateSettings = task.section("calibrate")?;
-        let record_settings: RecordSettings = task.section("records")?;
+        let record_settings = records::settings_without_test(task)?;
         let sensors: SensorsSection = task.section("sensors")?;
         let component = task.each().ok_or_else(|| Error::new("calibration needs `each = \"records.components\"`"))?;
         let card = dataset::card(task.input("dataset")?)?;

@@ -102,6 +102,16 @@ fn twin_records(task: &Task<'_>, settings: &RecordSettings) -> Result<Vec<Record
     Ok(records.into_iter().flatten().collect())
 }
 
+/// The settings of a stage that may not open the held-out events: their list is empty.
+///
+/// # Errors
+/// When the manifest has no records.
+pub fn settings_without_test(task: &Task<'_>) -> Result<RecordSettings> {
+    let mut settings: Table = task.section("records")?;
+    settings.insert("test".into(), toml::Value::Array(Vec::new()));
+    settings.try_into().map_err(|e: toml::de::Error| Error::new(e.message().to_string()).usage())
+}
+
 /// The records that stage left in `folder`, with their split.
 ///
 /// # Errors
