@@ -179,6 +179,13 @@ fn ranges_and_names_are_checked_across_sections() {
 }
 
 #[test]
+fn a_mistake_in_a_law_is_told_once_for_all_its_layers() {
+    let (status, _, stderr) = said(&["check", "configs/lotung.toml", "--set", "law.silty_sand.lambda=0.1"]);
+    assert_eq!(status, 2);
+    assert_eq!(stderr.matches("unknown field `lambda`").count(), 1, "{stderr}");
+}
+
+#[test]
 fn mistakes_on_the_command_line_end_with_two() {
     for arguments in [
         vec!["run", "configs/absent.toml"],

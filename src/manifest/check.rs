@@ -123,7 +123,9 @@ fn laws(site: &Site, problems: &mut Vec<Problem>) {
                     && let Ok(entry) = registry::find("soil law", soil::LAWS, &kind)
                     && let Err(error) = (entry.build)(table)
                 {
-                    problems.push(from_error(place, &error));
+                    // What is wrong with the law itself is said once, not for every layer that uses it.
+                    let key = if layer.parameters.is_empty() { format!("law.{}", layer.law) } else { place };
+                    problems.push(from_error(key, &error));
                 }
             }
         }

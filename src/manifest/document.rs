@@ -69,7 +69,12 @@ impl Document {
             spanned.as_ref().and_then(|t| locate(t.get_ref(), &p.key))
         };
         problems.sort_by_key(|p| span_of(p).map_or(usize::MAX, |s| s.start));
-        problems.dedup();
+        let mut seen = Vec::new();
+        problems.retain(|p| {
+            let is_new = !seen.contains(p);
+            seen.push(p.clone());
+            is_new
+        });
         let mut blocks: Vec<String> = problems
             .iter()
             .map(|p| match span_of(p) {
