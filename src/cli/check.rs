@@ -4,16 +4,14 @@ use super::SiteArguments;
 use super::workspace::Workspace;
 use crate::column::Column;
 use crate::error::Result;
-use crate::manifest::Manifest;
 
 /// Checks the manifest and says, where it is right, what it declares.
 ///
 /// # Errors
 /// One usage error that shows every problem.
 pub fn check(arguments: &SiteArguments) -> Result<()> {
-    let manifest = Manifest::load(&arguments.site, &arguments.set)?;
-    Workspace::open(arguments)?;
-    let site = &manifest.site;
+    let workspace = Workspace::open(arguments)?;
+    let site = &workspace.manifest.site;
     eprintln!(
         "`{}` is right: site `{}`, {} layers over {} m, {} elements, {} base motions, {} events",
         arguments.site.display(),

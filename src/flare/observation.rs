@@ -1,5 +1,6 @@
 //! The observation matrix C: sensors as weighted neighbours among the dense channels, with both normalisations.
 
+use crate::dataset::observation_matrix;
 use crate::error::{Error, Result};
 use serde::{Deserialize, Serialize};
 
@@ -56,18 +57,12 @@ impl Observation {
 
     /// C in physical units, `[n_sensor · n_channel]`; beyond the outermost channels the nearest one stands.
     pub fn matrix(&self) -> Vec<f64> {
-        let depth = &self.channel_depth_m;
-        let mut matrix = vec![0.0; self.n_sensor() * depth.len()];
-        for (row, z) in matrix.chunks_exact_mut(depth.len()).zip(&self.sensor_depth_m) {
-            let below = depth.partition_point(|d| d < z);
-            if below == 0 {
-                row[0] = 1.0;
-            } else if below == depth.len() {
-                row[depth.len() - 1] = 1.0;
-            } else {
-                let share = (z - depth[below - 1]) / (depth[below] - depth[below - 1]);
-                row[below - 1] = 1.0 - share;
-                row[below] = share;
+        let n_channel = self.channel_depth_m.len();
+        let mut matrix = vec![0.0; self.n_sensor() * n_channel];
+        let rows = observation_matrix(&self.channel_depth_m, &self.sensor_depth_m);
+        for (dense, row) in matrix.chunks_exact_mut(n_channel).zip(rows) {
+            for (channel, weight) in row.channels.into_iter().zip(row.weights) {
+                dense[channel] += weight;
             }
         }
         matrix
