@@ -5,12 +5,14 @@ mod calibrate;
 mod dataset;
 mod distill;
 mod evaluate;
+mod instrument;
 mod motions;
 pub mod predict;
 mod pretrain;
 mod records;
 mod replay;
 mod report;
+mod shake;
 mod simulate;
 
 pub use evaluate::Evaluation;
