@@ -7,14 +7,18 @@
 //! nuisances of every test: only what they cannot explain may be called an effect, and the alarm thresholds are those
 //! of null twins of the same array.
 
+mod comparison;
 mod curves;
 mod fast_column;
+mod floor;
 mod outcome;
 mod problem;
 mod settings;
 
+pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use curves::{Curve, Curves};
 pub use fast_column::{FastColumn, Grid, March, element_count};
+pub use floor::noise_deviation_m_s2;
 pub use outcome::{
     Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
     Verdict,

@@ -168,7 +168,11 @@ impl<'a> Planner<'a> {
             None => None,
             Some(source) => match of(source).filter(|s| matches!(self.store.state(&s.address), State::Sound(_))) {
                 None => return Ok(None),
-                Some(source) => Some(read_manifest(&self.store.dir(&source.address))?),
+                Some(source) => {
+                    let mut manifest = self.site.manifest.clone();
+                    manifest.extend(read_manifest(&self.store.dir(&source.address))?);
+                    Some(manifest)
+                }
             },
         };
         let manifest = other_manifest.as_ref().unwrap_or(self.site.manifest);

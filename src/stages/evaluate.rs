@@ -221,6 +221,11 @@ impl Comparison {
     }
 }
 
+/// NRMSE, %, where both histories give a finite one.
+pub fn nrmse(predicted: &[f64], observed: &[f64]) -> Option<f64> {
+    Some(nrmse_percent(predicted, observed)).filter(|v| v.is_finite())
+}
+
 /// Time axis of the tables.
 #[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct Axis {

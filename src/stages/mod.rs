@@ -2,16 +2,22 @@
 
 mod artifact;
 mod calibrate;
+mod compare;
+pub mod correct;
 mod dataset;
+mod diagnose;
 mod distill;
 mod evaluate;
 mod instrument;
 mod motions;
+mod null_twins;
 pub mod predict;
 mod pretrain;
+mod problem;
 mod records;
 mod replay;
 mod report;
+mod report_closing;
 mod shake;
 mod simulate;
 
@@ -30,5 +36,10 @@ pub const STAGES: &[&dyn Stage] = &[
     &distill::Distill,
     &calibrate::Calibrate,
     &evaluate::Evaluate,
+    &null_twins::NullTwins,
+    &diagnose::Diagnose,
+    &correct::Recalibrate,
+    &correct::Correct,
+    &compare::Compare,
     &report::Report,
 ];
