@@ -105,19 +105,34 @@ impl Summary {
     /// Medians and paired differences over the held-out `rows`, `ablation` being the errors of the ablation beside them.
     pub fn of(rows: &[ErrorRow], ablation: &[Option<f64>], seed: u64) -> Self {
         let tests: Vec<&ErrorRow> = rows.iter().filter(|r| r.split == Split::Test).collect();
-        let pick = |row: &ErrorRow, name: &str| row.nrmse_percent.named().iter().find(|(n, _)| *n == name)?.1.as_ref().copied();
+        let pick = |row: &ErrorRow, name: &str| {
+            row.nrmse_percent.named().iter().find(|(n, _)| *n == name)?.1.as_ref().copied()
+        };
         let over = |name: &str| by_event(&tests, |row| pick(row, name));
-        let names = Six { declared: "declared", recalibrated: "recalibrated", corrected: "corrected",
-            flare_before: "flare_before", flare_after: "flare_after", noise_floor: "noise_floor" };
+        let names = Six {
+            declared: "declared",
+            recalibrated: "recalibrated",
+            corrected: "corrected",
+            flare_before: "flare_before",
+            flare_after: "flare_after",
+            noise_floor: "noise_floor",
+        };
         let all = |events: Vec<Vec<f64>>| events.concat();
         let middle = |values: Vec<f64>| (!values.is_empty()).then(|| median(&values));
-        let beside = rows.iter().zip(ablation).filter(|(row, _)| row.split == Split::Test).filter_map(|(_, value)| *value);
+        let beside =
+            rows.iter().zip(ablation).filter(|(row, _)| row.split == Split::Test).filter_map(|(_, value)| *value);
         let changes = PAIRS.iter().filter_map(|(from, to)| {
             let events = by_event(&tests, |row| Some(pick(row, to)? - pick(row, from)?));
             let ci95_points = median_interval(&events, seed)?;
             let n_event = events.iter().filter(|e| !e.is_empty()).count();
-            Some(Change { from: (*from).into(), to: (*to).into(), median_points: median(&all(events)), ci95_points,
-                is_improved: n_event >= 2 && ci95_points[1] < 0.0, n_event })
+            Some(Change {
+                from: (*from).into(),
+                to: (*to).into(),
+                median_points: median(&all(events)),
+                ci95_points,
+                is_improved: n_event >= 2 && ci95_points[1] < 0.0,
+                n_event,
+            })
         });
         Self {
             test_median_nrmse_percent: names.map(|name| middle(all(over(name)))),
@@ -160,7 +175,8 @@ mod tests {
         assert!(change.is_improved && change.median_points == -22.0 && change.ci95_points[1] <= -20.0);
         assert_eq!(summary.test_median_nrmse_percent.corrected, Some(20.0));
         assert_eq!(summary.test_median_nrmse_percent.flare_after, None);
-        let mixed = [clear.clone(), vec![row("E9", Split::Test, 10.0, Some(60.0)), row("E8", Split::Test, 10.0, Some(60.0))]];
+        let mixed =
+            [clear.clone(), vec![row("E9", Split::Test, 10.0, Some(60.0)), row("E8", Split::Test, 10.0, Some(60.0))]];
         assert!(!Summary::of(&mixed.concat(), &[], 1).changes[0].is_improved);
     }
 

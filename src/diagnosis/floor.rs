@@ -23,7 +23,13 @@ const SMOOTHED_HZ: f64 = 0.5;
 /// Limits: the response is taken as linear for the noise; an estimate, exact only on average.
 /// Check:  `noise_of_the_input_counts_with_the_amplification`.
 /// Source: Pintelon and Schoukens (2012), System Identification, errors-in-variables cost.
-pub fn noise_deviation_m_s2(base: &[f64], response: &[f64], dt_s: f64, noise: [&NoiseSpectrum; 2], f_max_hz: f64) -> f64 {
+pub fn noise_deviation_m_s2(
+    base: &[f64],
+    response: &[f64],
+    dt_s: f64,
+    noise: [&NoiseSpectrum; 2],
+    f_max_hz: f64,
+) -> f64 {
     let n = base.len().min(response.len());
     if n < 2 {
         return f64::NAN;

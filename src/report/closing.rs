@@ -37,7 +37,8 @@ pub(super) fn section(content: &Content) -> Option<Section> {
 /// One sentence that says no more than is known.
 fn verdict(closing: &Closing) -> String {
     let named: Vec<String> = closing.effects.iter().map(|e| at(&e.kind, &e.target)).collect();
-    let share = |share: Option<f64>| share.map_or(String::new(), |s| format!(" ({} % of it)", number::fixed(100.0 * s, 0)));
+    let share =
+        |share: Option<f64>| share.map_or(String::new(), |s| format!(" ({} % of it)", number::fixed(100.0 * s, 0)));
     match closing.verdict.as_str() {
         "none" => "Nothing beyond the declared tolerances: the records ask for no further effect.".into(),
         "known" => format!(

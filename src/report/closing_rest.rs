@@ -88,11 +88,18 @@ fn by_frequency(remainder: &Remainder) -> Markup {
     let frame = Frame {
         size: (760.0, 260.0),
         x: Axis { label: "Frequency (Hz)", range: (first, last), log: false },
-        y: Axis { label: "Level (1 = noise)", range: level_range(remainder.sensors.iter().flat_map(|s| s.1.iter().copied())), log: true },
+        y: Axis {
+            label: "Level (1 = noise)",
+            range: level_range(remainder.sensors.iter().flat_map(|s| s.1.iter().copied())),
+            log: true,
+        },
         alt: "Mean squared whitened residual over frequency, one curve a sensor; one is noise".into(),
     };
     let picture = html! { (legend(&keys)) (chart::curves(&frame, &curves, Marks::default())) };
-    figure(&picture, &html! { "Structure that remains after the correction, by frequency: mean squared residual over what noise explains. Near 1 only noise is left." })
+    figure(
+        &picture,
+        &html! { "Structure that remains after the correction, by frequency: mean squared residual over what noise explains. Near 1 only noise is left." },
+    )
 }
 
 fn level_one(first: f64, last: f64) -> Curve {
@@ -115,5 +122,8 @@ fn by_event(remainder: &Remainder) -> Markup {
     };
     let cloud = Dots { points, color: chart::NEUTRAL, shape: MarkerShape::Circle };
     let picture = chart::dots(&frame, &[cloud], &[level_one(range.0, range.1)]);
-    figure(&picture, &html! { "The same record by record, over the strength of the motion: a trend would speak of nonlinearity." })
+    figure(
+        &picture,
+        &html! { "The same record by record, over the strength of the motion: a trend would speak of nonlinearity." },
+    )
 }

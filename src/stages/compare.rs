@@ -3,9 +3,7 @@
 use super::artifact::{read_json, write_json};
 use super::evaluate::{self, Axis, Evaluation};
 use super::{correct, diagnose, records, replay};
-use crate::diagnosis::{
-    self, Change, Diagnosis, ErrorRow, Six, Summary, Verdict, noise_deviation_m_s2,
-};
+use crate::diagnosis::{self, Change, Diagnosis, ErrorRow, Six, Summary, Verdict, noise_deviation_m_s2};
 use crate::effects::Class;
 use crate::error::Result;
 use crate::manifest::SensorsSection;
@@ -163,7 +161,7 @@ struct Passes<'a> {
 impl<'a> Passes<'a> {
     fn read(task: &'a Task<'_>, is_corrected: bool) -> Result<Self> {
         let (before, axis) = evaluate::read(task.input("before")?)?;
-        let evaluation = |role: &str| Ok(evaluate::read(task.input(role)?)?.0);
+        let evaluation = |role: &str| -> Result<Evaluation> { Ok(evaluate::read(task.input(role)?)?.0) };
         let after = if is_corrected { Some((evaluation("after")?, evaluation("ablation")?)) } else { None };
         let recalibrated = task.input("recalibrated")?;
         let best = if is_corrected { task.input("corrected")? } else { recalibrated };
@@ -207,16 +205,14 @@ impl<'a> Passes<'a> {
         let response = resample_band_limited(response, self.output_step_s, record.dt_s);
         let pair = [noise.first()?, noise.get(sensor + 1)?];
         let nyquist_hz = 0.5 / self.axis.step_s;
-        let deviation =
-            noise_deviation_m_s2(&record.input.acceleration_m_s2, &response, record.dt_s, pair, nyquist_hz);
+        let deviation = noise_deviation_m_s2(&record.input.acceleration_m_s2, &response, record.dt_s, pair, nyquist_hz);
         Some(100.0 * deviation / rms(observed)).filter(|v| v.is_finite())
     }
 }
 
 fn nrmse(evaluation: &Evaluation, record: &Record, sensor: &str) -> Option<evaluate::Both> {
-    let is_meant = |s: &&evaluate::Score| {
-        s.event == record.event && s.component == record.component && s.sensor == sensor
-    };
+    let is_meant =
+        |s: &&evaluate::Score| s.event == record.event && s.component == record.component && s.sensor == sensor;
     evaluation.scores.iter().find(is_meant).map(|s| s.nrmse_percent)
 }
 

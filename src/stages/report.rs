@@ -343,7 +343,8 @@ fn provenance(task: &Task<'_>) -> Result<Provenance> {
         records.remove("truth");
     }
     let mut stages = Vec::new();
-    for role in ["motions", "simulate", "dataset", "pretrain", "distill", "calibrate", "evaluate", "diagnose", "compare"]
+    for role in
+        ["motions", "simulate", "dataset", "pretrain", "distill", "calibrate", "evaluate", "diagnose", "compare"]
     {
         if !task.has_input(role) {
             continue;

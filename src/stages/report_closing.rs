@@ -6,9 +6,7 @@ use crate::effects::{self, Class};
 use crate::error::Result;
 use crate::pipeline::Task;
 use crate::records::Split;
-use crate::report::content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder,
-};
+use crate::report::content::{Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder};
 use crate::units::G_M_S2;
 
 /// The section's content, where the pipeline closes the loop.
