@@ -13,6 +13,7 @@ mod schema;
 mod show;
 mod status;
 mod twin;
+mod twins;
 mod workspace;
 
 use crate::error::Result;
@@ -41,6 +42,8 @@ enum Command {
     Predict(predict::PredictArguments),
     /// Write the records of a twin site, whose truth a manifest does not declare
     Twin(twin::TwinArguments),
+    /// Diagnose many twins with drawn truths and tally the answers
+    Twins(twins::TwinsArguments),
     /// Rebuild the report from cached results
     Report(SiteArguments),
     /// Print the latent equations of the trained model of a site
@@ -85,6 +88,7 @@ pub fn dispatch(arguments: Arguments) -> Result<()> {
         Command::Status(arguments) => status::status(&arguments),
         Command::Predict(arguments) => predict::predict(&arguments),
         Command::Twin(arguments) => twin::twin(&arguments),
+        Command::Twins(arguments) => twins::twins(&arguments),
         Command::Report(arguments) => report::report(&arguments),
         Command::Show(arguments) => show::show(&arguments),
         Command::Graph(arguments) => graph::graph(&arguments),

@@ -20,6 +20,7 @@ mod report;
 mod report_closing;
 mod shake;
 mod simulate;
+pub mod twins;
 
 pub use evaluate::Evaluation;
 
@@ -41,5 +42,7 @@ pub const STAGES: &[&dyn Stage] = &[
     &correct::Recalibrate,
     &correct::Correct,
     &compare::Compare,
+    &twins::TwinThresholds,
+    &twins::Twins,
     &report::Report,
 ];

@@ -32,9 +32,16 @@ impl Stage for NullTwins {
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let bench = Bench::of(task)?;
         let settings: DiagnoseSettings = task.section("diagnose")?;
-        let found = thresholds(&bench.problem, &bench, &settings, task.progress())?;
-        write_json(&task.output_dir().join(FILE), &found)
+        write(task.output_dir(), &thresholds(&bench.problem, &settings, task.progress())?)
     }
+}
+
+/// Writes thresholds as that stage does.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write(folder: &Path, thresholds: &Thresholds) -> Result<()> {
+    write_json(&folder.join(FILE), thresholds)
 }
 
 /// The thresholds that stage left in `folder`.

@@ -3,12 +3,13 @@
 
 use super::instrument::{Instrument, by_event};
 use super::records;
-use super::replay::base_motions;
-use super::shake::shake;
-use crate::diagnosis::{self, Event, Problem, Replay};
+use super::replay::{base_motions, replayed};
+use super::shake::{Response, shake};
+use crate::diagnosis::{Event, NoiseSpectrum, Problem, Replay};
 use crate::effects::Situation;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
+use crate::metrics::rms;
 use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::Task;
 use crate::records::{Record, RecordSettings, Split};
@@ -32,7 +33,8 @@ pub const READS: &[&str] = &[
 
 /// The problem with what it takes to replay its events.
 pub struct Bench<'a> {
-    task: &'a Task<'a>,
+    /// Where replays are cached; without one they are computed every time.
+    task: Option<&'a Task<'a>>,
     sections: ColumnSections,
     settings: RecordSettings,
     events: Vec<Vec<Record>>,
@@ -50,18 +52,38 @@ impl<'a> Bench<'a> {
         let settings: RecordSettings = task.section("records")?;
         let opened = records::settings_without_test(task)?;
         let found = by_event(records::read(task.input("records")?, &opened, &sections.sensors)?.records);
-        let tolerances: Tolerances = task.section("tolerances")?;
-        let problem = problem(&sections, tolerances, &settings, &found)?;
-        let events = found.into_iter().map(|(_, records)| records).collect();
+        Self::new(Some(task), sections, task.section("tolerances")?, settings, found)
+    }
+
+    /// The problem that `events` of the array of `sections` pose; `settings` name its whole history.
+    ///
+    /// # Errors
+    /// When the declared column cannot be built.
+    pub fn new(
+        task: Option<&'a Task<'a>>,
+        sections: ColumnSections,
+        tolerances: Tolerances,
+        settings: RecordSettings,
+        events: Vec<(Split, Vec<Record>)>,
+    ) -> Result<Self> {
+        let problem = problem(&sections, tolerances, &settings, &events)?;
+        let events = events.into_iter().map(|(_, records)| records).collect();
         Ok(Self { task, sections, settings, events, problem })
+    }
+
+    /// What the array would record of the replays under `effects` on top of the manifest's, event by event and component by
+    /// component at the output step of the analysis.
+    ///
+    /// # Errors
+    /// As [`Replay::replay`].
+    pub fn recorded(&self, effects: &[Table], events: &[Vec<Record>]) -> Result<Vec<Response>> {
+        let tables: Vec<Table> = self.sections.effects.iter().chain(effects).cloned().collect();
+        let instrument = Instrument::new(&self.sections.sensors, self.sections.site.depth_m, &tables)?;
+        replayed(self.task, &self.sections, &instrument, &self.settings, events)
     }
 }
 
-/// The problem that `events` of the array of `sections` pose; `settings` name its whole history.
-///
-/// # Errors
-/// When the declared column cannot be built.
-pub fn problem(
+fn problem(
     sections: &ColumnSections,
     tolerances: Tolerances,
     settings: &RecordSettings,
@@ -76,7 +98,7 @@ pub fn problem(
             dt_s: record.dt_s,
             input: record.input.acceleration_m_s2.clone(),
             outputs: record.outputs.iter().map(|s| s.acceleration_m_s2.clone()).collect(),
-            noise: diagnosis::noise(record),
+            noise: noise(record),
         }
     };
     Ok(Problem {
@@ -99,7 +121,7 @@ impl Replay for Bench<'_> {
             return Err(Error::new("the column finished in no event").cause(reason));
         }
         let step_s = self.sections.analysis.output_step_s;
-        let at_records = |(record, response): (&Record, Result<Vec<Vec<f64>>, String>)| {
+        let at_records = |(record, response): (&Record, Response)| {
             let fitted = |history: &Vec<f64>| {
                 let mut history = resample_band_limited(history, step_s, record.dt_s);
                 history.resize(record.n_step(), 0.0);
@@ -109,4 +131,10 @@ impl Replay for Bench<'_> {
         };
         Ok(undone.iter().flatten().zip(shaken).map(at_records).collect())
     }
+}
+
+/// Noise of every sensor of a record, the input sensor first.
+pub fn noise(record: &Record) -> Vec<NoiseSpectrum> {
+    let white = |x: &[f64]| NoiseSpectrum::white(0.02 * rms(x), record.dt_s);
+    record.sensors().map(|s| white(&s.acceleration_m_s2)).collect()
 }

@@ -3,7 +3,7 @@
 use super::artifact::{read_table, write_table};
 use super::instrument::{Instrument, by_event};
 use super::records;
-use super::shake::{BaseMotion, shake};
+use super::shake::{BaseMotion, Response, shake};
 use crate::effects::{Channels, Situation};
 use crate::error::Result;
 use crate::manifest::ColumnSections;
@@ -51,26 +51,45 @@ impl Stage for Replay {
         let events: Vec<Vec<Record>> = by_event(found).into_iter().map(|(_, records)| records).collect();
         let step_s = sections.analysis.output_step_s;
         let names = sections.sensors.names();
-        let undone: Vec<Vec<Record>> = events.iter().map(|records| instrument.undone(records)).collect();
-        let motions = base_motions(&undone, &settings);
-        let mut shaken = shake(task, &sections, instrument.effects(), &motions)?.into_iter();
-        for (records, undone) in events.iter().zip(&undone) {
-            let responses: Vec<_> = shaken.by_ref().take(records.len()).collect();
-            for (record, response) in records.iter().zip(&responses) {
-                if let Err(reason) = response {
-                    let name = file_name(&record.event, &record.component);
-                    task.progress().note(&format!("the column did not finish {name}: {reason}"));
+        let records = events.iter().flatten();
+        let responses = replayed(Some(task), &sections, &instrument, &settings, &events)?;
+        for (record, response) in records.zip(responses) {
+            let name = file_name(&record.event, &record.component);
+            match response {
+                Ok(outputs) => {
+                    let columns: Vec<(&str, &[f64])> =
+                        names.iter().zip(&outputs).map(|(n, h)| (n.as_str(), h.as_slice())).collect();
+                    write_table(&task.output_dir().join(name), step_s, &columns)?;
                 }
-            }
-            for (record, outputs) in records.iter().zip(as_recorded(&instrument, records, undone, responses, step_s)) {
-                let Some(outputs) = outputs else { continue };
-                let columns: Vec<(&str, &[f64])> =
-                    names.iter().zip(&outputs).map(|(n, h)| (n.as_str(), h.as_slice())).collect();
-                write_table(&task.output_dir().join(file_name(&record.event, &record.component)), step_s, &columns)?;
+                Err(reason) => task.progress().note(&format!("the column did not finish {name}: {reason}")),
             }
         }
         Ok(())
     }
+}
+
+/// What the array of `sections` would record of the column under the motions of `events`, record after record at the output
+/// step of the analysis.
+///
+/// # Errors
+/// When the column cannot be built or the cache cannot be read or written.
+pub fn replayed(
+    task: Option<&Task<'_>>,
+    sections: &ColumnSections,
+    instrument: &Instrument,
+    settings: &RecordSettings,
+    events: &[Vec<Record>],
+) -> Result<Vec<Response>> {
+    let undone: Vec<Vec<Record>> = events.iter().map(|records| instrument.undone(records)).collect();
+    let motions = base_motions(&undone, settings);
+    let mut shaken = shake(task, sections, instrument.effects(), &motions)?.into_iter();
+    let step_s = sections.analysis.output_step_s;
+    let mut all = Vec::with_capacity(motions.len());
+    for (records, undone) in events.iter().zip(&undone) {
+        let responses: Vec<Response> = shaken.by_ref().take(records.len()).collect();
+        all.extend(as_recorded(instrument, records, undone, responses, step_s));
+    }
+    Ok(all)
 }
 
 /// The true motions of the input sensor, record after record, with their place in the history of **all** events: those
@@ -89,15 +108,15 @@ pub fn base_motions<'a>(events: &'a [Vec<Record>], settings: &RecordSettings) ->
     events.iter().flatten().map(motion).collect()
 }
 
-/// What the output sensors would record of the `responses` of the components of one event; `None` where the column did
-/// not finish. A component without a response lends its record to the others.
+/// What the output sensors would record of the `responses` of the components of one event. A component without a response
+/// lends its record to the others.
 fn as_recorded(
     instrument: &Instrument,
     records: &[Record],
     undone: &[Record],
-    responses: Vec<Result<Vec<Vec<f64>>, String>>,
+    responses: Vec<Response>,
     step_s: f64,
-) -> Vec<Option<Vec<Vec<f64>>>> {
+) -> Vec<Response> {
     let n_step = responses.iter().flatten().flatten().map(Vec::len).min().unwrap_or(0);
     let fitted = |history: &[f64], dt_s: f64| {
         let mut history = resample_band_limited(history, dt_s, step_s);
@@ -117,7 +136,7 @@ fn as_recorded(
     }
     let recorded = instrument.recorded(records, step_s, &motions);
     let of = |c: usize| recorded[1..].iter().map(|channels| channels[c].clone()).collect();
-    responses.iter().enumerate().map(|(c, response)| response.is_ok().then(|| of(c))).collect()
+    responses.into_iter().enumerate().map(|(c, response)| response.map(|_| of(c))).collect()
 }
 
 fn file_name(event: &str, component: &str) -> String {

@@ -1,5 +1,5 @@
-//! The nonlinear column under true base motions: every run has a cache entry of its own, named by the column that is
-//! shaken, how it is stepped, and the motion. Replays of different stages and manifests share them.
+//! The nonlinear column under true base motions. In a stage every run has a cache entry of its own, named by the column
+//! that is shaken, how it is stepped, and the motion: replays of different stages and manifests share them.
 
 use crate::column::{Column, Profile};
 use crate::dataset::sensor_histories;
@@ -7,6 +7,7 @@ use crate::effects::{Effect, Situation};
 use crate::error::{Context, Error, Result};
 use crate::manifest::ColumnSections;
 use crate::pipeline::{Item, Task, content_hash};
+use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
@@ -28,17 +29,20 @@ pub struct BaseMotion<'a> {
     pub acceleration_m_s2: &'a [f64],
 }
 
-/// True motions at the output sensors, `[motion][sensor][step]` at the output step of the analysis, m/s²; why not, where
-/// the column did not finish. The column of `sections` is edited by `effects` alone, not by those of the manifest.
+/// True motions at the output sensors, `[sensor][step]` at the output step of the analysis, m/s²; or why there are none.
+pub type Response = Result<Vec<Vec<f64>>, String>;
+
+/// Shakes the column of `sections`, edited by `effects` alone and not by those of the manifest, with every motion; runs are
+/// cached where there is a `task`.
 ///
 /// # Errors
 /// When the column cannot be built or the cache cannot be read or written.
 pub fn shake(
-    task: &Task<'_>,
+    task: Option<&Task<'_>>,
     sections: &ColumnSections,
     effects: &[Box<dyn Effect>],
     motions: &[BaseMotion<'_>],
-) -> Result<Vec<Result<Vec<Vec<f64>>, String>>> {
+) -> Result<Vec<Response>> {
     let depths_m = sections.sensor_depths_m(effects);
     let declared = sections.declared_profile()?;
     let mut columns: BTreeMap<String, Column> = BTreeMap::new();
@@ -55,11 +59,15 @@ pub fn shake(
         items.push(item(motion, parameters));
         keys.push(key);
     }
-    let outcomes = task.items(REPLAY.0, REPLAY.1, &items, |i, folder| {
+    let run = |i: usize| -> Result<Vec<Vec<f64>>> {
         let motion = &motions[i];
         let histories = sensor_histories(&columns[&keys[i]], motion.dt_s, motion.acceleration_m_s2, &depths_m)?;
-        write(&folder.join(FILE), &histories[1..])
-    })?;
+        Ok(histories.into_iter().skip(1).collect())
+    };
+    let Some(task) = task else {
+        return Ok((0..motions.len()).into_par_iter().map(|i| run(i).map_err(|e| e.to_string())).collect());
+    };
+    let outcomes = task.items(REPLAY.0, REPLAY.1, &items, |i, folder| write(&folder.join(FILE), &run(i)?))?;
     outcomes
         .into_iter()
         .map(|outcome| match outcome.output {
