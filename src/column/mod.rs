@@ -8,6 +8,7 @@
 
 mod analysis;
 mod failure;
+mod linear;
 mod mesh;
 mod profile;
 mod run;
@@ -15,6 +16,7 @@ mod step;
 
 pub use analysis::Analysis;
 pub use failure::{Cause, Failure};
+pub use linear::Slice;
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
 pub use run::{Frame, RunSummary};
 
