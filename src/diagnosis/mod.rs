@@ -9,12 +9,14 @@
 
 mod curves;
 mod fast_column;
+mod noise;
 mod outcome;
 mod problem;
 mod settings;
 
 pub use curves::{Curve, Curves};
 pub use fast_column::{FastColumn, Grid, March, element_count};
+pub use noise::noise;
 pub use outcome::{
     Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
     Verdict,
