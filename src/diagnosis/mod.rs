@@ -11,6 +11,7 @@ mod comparison;
 mod curves;
 mod fast_column;
 mod floor;
+mod noise;
 mod outcome;
 mod problem;
 mod settings;
@@ -19,6 +20,7 @@ pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use curves::{Curve, Curves};
 pub use fast_column::{FastColumn, Grid, March, element_count};
 pub use floor::noise_deviation_m_s2;
+pub use noise::noise;
 pub use outcome::{
     Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
     Verdict,

@@ -2,7 +2,7 @@
 
 use super::artifact::{read_json, write_json};
 use super::evaluate::{self, Axis, Evaluation};
-use super::{correct, diagnose, problem, records, replay};
+use super::{correct, diagnose, records, replay};
 use crate::diagnosis::{self, Change, Diagnosis, ErrorRow, Six, Summary, Verdict, noise_deviation_m_s2};
 use crate::effects::Class;
 use crate::error::Result;
@@ -201,7 +201,7 @@ impl<'a> Passes<'a> {
 
     /// NRMSE that noise leaves to the right model, %, with the amplification of the best model there is.
     fn floor(&self, record: &Record, sensor: usize, response: &[f64], observed: &[f64]) -> Option<f64> {
-        let noise = problem::noise(record);
+        let noise = diagnosis::noise(record);
         let response = resample_band_limited(response, self.output_step_s, record.dt_s);
         let pair = [noise.first()?, noise.get(sensor + 1)?];
         let nyquist_hz = 0.5 / self.axis.step_s;

@@ -98,7 +98,7 @@ fn problem(
             dt_s: record.dt_s,
             input: record.input.acceleration_m_s2.clone(),
             outputs: record.outputs.iter().map(|s| s.acceleration_m_s2.clone()).collect(),
-            noise: noise(record),
+            noise: diagnosis::noise(record),
         }
     };
     Ok(Problem {
@@ -131,10 +131,4 @@ impl Replay for Bench<'_> {
         };
         Ok(undone.iter().flatten().zip(shaken).map(at_records).collect())
     }
-}
-
-/// Noise of every sensor of a record, the input sensor first.
-pub fn noise(record: &Record) -> Vec<NoiseSpectrum> {
-    let white = |x: &[f64]| NoiseSpectrum::white(0.02 * rms(x), record.dt_s);
-    record.sensors().map(|s| white(&s.acceleration_m_s2)).collect()
 }
