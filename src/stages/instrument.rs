@@ -152,3 +152,90 @@ pub fn narrow(parameters: &mut Table, concern: Concern) {
 fn has_arrival(table: &Table) -> bool {
     effects::build(table).is_ok_and(|effect| effect.arrival(0.0, 1.0).is_some())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::OutputSection;
+    use crate::records::Sensor;
+
+    fn table(text: &str) -> Table {
+        toml::from_str(text).expect("the text is TOML")
+    }
+
+    fn instrument(effects: &[&str]) -> Instrument {
+        let output = vec![OutputSection { name: "surface".into(), depth_m: 0.0 }];
+        let tables: Vec<Table> = effects.iter().map(|e| table(e)).collect();
+        Instrument::new(&SensorsSection { input: "base".into(), output }, 10.0, &tables).expect("sound effects")
+    }
+
+    fn records(n_step: usize) -> Vec<Record> {
+        let wave = |i: usize, f: f64| (f * i as f64 * 0.01).sin() * (-((i as f64 - 500.0) / 150.0).powi(2)).exp();
+        let sensor = |name: &str, f: f64| Sensor {
+            name: name.into(),
+            acceleration_m_s2: (0..n_step).map(|i| wave(i, f)).collect(),
+        };
+        let record = |component: &str, f: f64| Record {
+            event: "E".into(),
+            component: component.into(),
+            dt_s: 0.01,
+            input: sensor("base", f),
+            outputs: vec![sensor("surface", 1.5 * f)],
+        };
+        vec![record("EW", 9.0), record("NS", 14.0)]
+    }
+
+    fn distance(a: &Channels, b: &Channels) -> f64 {
+        let pairs = a.iter().flatten().zip(b.iter().flatten());
+        pairs.fold(0.0, |m, (x, y)| f64::max(m, (x - y).abs()))
+    }
+
+    #[test]
+    fn what_is_undone_and_recorded_again_is_the_record() {
+        let records = records(1000);
+        let measured = channels(&records);
+        let idle = instrument(&["kind = 'layer_velocity'\nln_factor = 0.1"]);
+        assert_eq!(idle.undone(&records), records);
+        assert_eq!(idle.recorded(&records, 0.01, &measured), measured);
+        let turned = instrument(&[
+            "kind = 'sensor_orientation'\nsensor = 'surface'\nazimuth_deg = 20.0",
+            "kind = 'sensor_gain'\nsensor = 'base'\nln_gain = -0.2",
+            "kind = 'machine_hum'\nsensor = 'surface'\nfrequency_hz = 7.0\namplitude_m_s2 = 0.05",
+        ]);
+        let undone = turned.undone(&records);
+        assert!(distance(&channels(&undone)[1], &measured[1]) > 0.1);
+        let back = turned.recorded(&records, 0.01, &channels(&undone));
+        for (back, measured) in back.iter().zip(&measured) {
+            assert!(distance(back, measured) < 2e-3, "{}", distance(back, measured));
+        }
+    }
+
+    #[test]
+    fn a_stage_sees_the_effects_that_concern_it() {
+        let text = "[[effects]]\nkind = 'sensor_gain'\nsensor = 'surface'\nln_gain = 0.1\n\
+                    [[effects]]\nkind = 'sensor_depth'\nsensor = 'mid'\noffset_m = 0.4\n\
+                    [[effects]]\nkind = 'small_strain_damping'\nmultiplier = 2.0\n";
+        let kinds = |concern| {
+            let mut parameters = table(text);
+            narrow(&mut parameters, concern);
+            let kept = parameters["effects"].as_array().expect("a list").iter();
+            kept.map(|e| e["kind"].as_str().expect("a text").to_string()).collect::<Vec<_>>()
+        };
+        assert_eq!(kinds(Concern::Column), ["sensor_depth", "small_strain_damping"]);
+        assert_eq!(kinds(Concern::Sensors), ["sensor_gain", "sensor_depth"]);
+        let mut parameters = table("[[effects]]\nkind = 'small_strain_damping'\nmultiplier = 2.0\n");
+        narrow(&mut parameters, Concern::Sensors);
+        assert!(parameters.is_empty(), "as if there were none");
+    }
+
+    #[test]
+    fn components_of_an_event_stand_together_where_they_share_their_time() {
+        let mut all = records(1000);
+        all.push(records(900).remove(0));
+        all[2].event = "F".into();
+        all.push(Record { component: "NS".into(), ..records(800).remove(0) });
+        all[3].event = "F".into();
+        let events = by_event(all.into_iter().map(|r| (Split::Train, r)).collect());
+        assert_eq!(events.iter().map(|(_, records)| records.len()).collect::<Vec<_>>(), [2, 1, 1]);
+    }
+}

@@ -23,6 +23,7 @@ mod simulate;
 pub mod twins;
 
 pub use evaluate::Evaluation;
+pub use null_twins::read as thresholds;
 
 use crate::pipeline::Stage;
 
