@@ -75,7 +75,7 @@ impl Effect for LayerVelocity {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::column::{Layer, Rayleigh, Vertical};
+    use crate::column::{Features, Layer, Rayleigh, Vertical};
 
     fn profile() -> Profile {
         let layer = Layer {
@@ -92,6 +92,7 @@ mod tests {
             vertical: Vertical::Free,
             rayleigh: Rayleigh::default(),
             elements: 10,
+            features: Features::default(),
         }
     }
 
