@@ -1,18 +1,54 @@
 //! Damping that the declared column lacks, of Rayleigh form.
 
-use super::Effect;
+use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation};
 use crate::column::Profile;
-use crate::error::{Error, Result};
-use crate::registry::{self, Entry};
+use crate::error::Result;
+use crate::registry;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub(super) const ENTRY: Entry<dyn Effect> = Entry {
+pub(super) const ENTRY: Entry = Entry {
     name: "frequency_dependent_damping",
     about: "mass- and stiffness-proportional damping beyond the declared one",
     build: |table| Ok(Box::new(registry::params::<FrequencyDependentDamping>(table)?.checked()?)),
     schema: || schemars::schema_for!(FrequencyDependentDamping),
+    catalogue: Catalogue {
+        number: 4,
+        class: Class::Soil,
+        parameters: PARAMETERS,
+        instances: |_| {
+            let free = PARAMETERS.iter().map(|p| Free::new(p, 0.0));
+            free.map(|f| Instance::new(ENTRY.name, [], vec![f])).collect()
+        },
+        confused_with: &["small_strain_damping", "instrument_low_pass"],
+        key: "the misfit of the second mode over that of the first",
+    },
 };
+
+const PARAMETERS: &[Parameter] = &[
+    Parameter {
+        name: "beta_s",
+        unit: "s",
+        zero: Some(0.0),
+        low: 0.0,
+        high: 0.01,
+        scale: Scale::Linear,
+        prior_sd: 0.002,
+        draw: [0.001, 0.003],
+        is_signed: false,
+    },
+    Parameter {
+        name: "alpha_1_s",
+        unit: "1/s",
+        zero: Some(0.0),
+        low: 0.0,
+        high: 5.0,
+        scale: Scale::Linear,
+        prior_sd: 0.7,
+        draw: [0.4, 1.5],
+        is_signed: false,
+    },
+];
 
 /// Adds Rayleigh damping to the column.
 ///
@@ -39,19 +75,13 @@ struct FrequencyDependentDamping {
 
 impl FrequencyDependentDamping {
     fn checked(self) -> Result<Self> {
-        for (name, value, highest, unit) in
-            [("alpha_1_s", self.alpha_1_s, 20.0, "1/s"), ("beta_s", self.beta_s, 0.05, "s")]
-        {
-            if !(0.0..=highest).contains(&value) {
-                return Err(Error::new(format!("`{name}` must be in 0…{highest} {unit}, got {value}")).usage());
-            }
-        }
+        super::ranges(&[("alpha_1_s", self.alpha_1_s, 0.0, 20.0, "1/s"), ("beta_s", self.beta_s, 0.0, 0.05, "s")])?;
         Ok(self)
     }
 }
 
 impl Effect for FrequencyDependentDamping {
-    fn apply(&self, profile: &mut Profile) {
+    fn edit(&self, profile: &mut Profile, _: &Situation) {
         profile.rayleigh.alpha_1_s += self.alpha_1_s;
         profile.rayleigh.beta_s += self.beta_s;
     }

@@ -1,18 +1,48 @@
 //! Shear-wave velocity of a depth range differs from the declared one.
 
-use super::Effect;
+use super::{Array, Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation};
 use crate::column::Profile;
 use crate::error::{Error, Result};
-use crate::registry::{self, Entry};
+use crate::registry;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub(super) const ENTRY: Entry<dyn Effect> = Entry {
+pub(super) const ENTRY: Entry = Entry {
     name: "layer_velocity",
     about: "shear-wave velocity of a depth range is faster or slower than declared",
     build: |table| Ok(Box::new(registry::params::<LayerVelocity>(table)?.checked()?)),
     schema: || schemars::schema_for!(LayerVelocity),
+    catalogue: Catalogue {
+        number: 1,
+        class: Class::Soil,
+        parameters: PARAMETERS,
+        instances,
+        confused_with: &["thin_seam", "water_table", "stiff_crust", "sensor_depth", "clock_offset"],
+        key: "transfer functions between neighbouring sensors: only those across the range change",
+    },
 };
+
+const PARAMETERS: &[Parameter] = &[Parameter {
+    name: "ln_factor",
+    unit: "",
+    zero: Some(0.0),
+    low: -0.5,
+    high: 0.5,
+    scale: Scale::Linear,
+    prior_sd: 0.2,
+    draw: [0.08, 0.2],
+    is_signed: true,
+}];
+
+/// One instance between each two neighbouring sensors.
+fn instances(array: &Array) -> Vec<Instance> {
+    let cuts = array.cuts_m();
+    let between = |pair: &[f64]| {
+        let target = [("top_m", pair[0].into()), ("bottom_m", pair[1].into())];
+        Instance::new(ENTRY.name, target, vec![Free::new(&PARAMETERS[0], 0.0)])
+    };
+    cuts.windows(2).map(between).collect()
+}
 
 /// Scales the shear-wave velocity of every layer whose middle lies in a depth range.
 ///
@@ -45,9 +75,7 @@ fn whole_profile() -> f64 {
 
 impl LayerVelocity {
     fn checked(self) -> Result<Self> {
-        if !(-0.7..=0.7).contains(&self.ln_factor) {
-            return Err(Error::new(format!("`ln_factor` must be in -0.7…0.7, got {}", self.ln_factor)).usage());
-        }
+        super::ranges(&[("ln_factor", self.ln_factor, -0.7, 0.7, "")])?;
         if self.top_m < 0.0 || self.bottom_m <= self.top_m {
             let what = format!("`bottom_m` must be larger than `top_m` ≥ 0 m, got {}…{} m", self.top_m, self.bottom_m);
             return Err(Error::new(what).usage());
@@ -57,7 +85,7 @@ impl LayerVelocity {
 }
 
 impl Effect for LayerVelocity {
-    fn apply(&self, profile: &mut Profile) {
+    fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.ln_factor == 0.0 {
             return;
         }
@@ -100,9 +128,9 @@ mod tests {
     fn zero_strength_is_identical_and_only_the_range_changes() {
         let declared = profile();
         let mut edited = profile();
-        LayerVelocity { ln_factor: 0.0, top_m: 0.0, bottom_m: 9.0 }.apply(&mut edited);
+        LayerVelocity { ln_factor: 0.0, top_m: 0.0, bottom_m: 9.0 }.edit(&mut edited, &Situation::default());
         assert_eq!(edited, declared);
-        LayerVelocity { ln_factor: 0.1, top_m: 2.0, bottom_m: 4.0 }.apply(&mut edited);
+        LayerVelocity { ln_factor: 0.1, top_m: 2.0, bottom_m: 4.0 }.edit(&mut edited, &Situation::default());
         assert_eq!(edited.layers[0].vs_m_s, 150.0);
         assert!((edited.layers[1].vs_m_s - 150.0 * 0.1f64.exp()).abs() < 1e-12);
     }

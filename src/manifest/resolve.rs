@@ -2,7 +2,7 @@
 
 use super::{ColumnSections, LayerSection};
 use crate::column::{Features, Layer, Profile};
-use crate::effects;
+use crate::effects::{self, Array, Situation};
 use crate::error::{Error, Result};
 
 /// Depth of the water table that means a dry column, m.
@@ -50,13 +50,35 @@ impl ColumnSections {
         })
     }
 
-    /// The column with the manifest's `[[effects]]` applied.
+    /// The column with the manifest's `[[effects]]` applied, for motions that belong to no record.
     ///
     /// # Errors
     /// When a layer or an effect cannot be built.
     pub fn profile(&self) -> Result<Profile> {
+        self.profile_for(&Situation::default())
+    }
+
+    /// The column with the manifest's `[[effects]]` applied, in the given component and event.
+    ///
+    /// # Errors
+    /// When a layer or an effect cannot be built.
+    pub fn profile_for(&self, situation: &Situation) -> Result<Profile> {
         let mut profile = self.declared_profile()?;
-        effects::apply(&self.effects, &mut profile)?;
+        effects::apply(&self.effects, &mut profile, situation)?;
         Ok(profile)
+    }
+
+    /// The array on the declared column, with horizontal `components`.
+    ///
+    /// # Errors
+    /// When a layer names an unknown law.
+    pub fn array(&self, components: &[String]) -> Result<Array> {
+        Ok(Array {
+            profile: self.declared_profile()?,
+            input: self.sensors.input.clone(),
+            outputs: self.sensors.names(),
+            depths_m: self.sensors.depths_m(),
+            components: components.to_vec(),
+        })
     }
 }

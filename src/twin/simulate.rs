@@ -4,7 +4,7 @@ use super::observe::{Channels, observe};
 use super::{Draw, Truth};
 use crate::column::Column;
 use crate::dataset::sensor_histories;
-use crate::effects;
+use crate::effects::{self, Situation};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
 use crate::motion::{self, MotionSettings};
@@ -40,7 +40,7 @@ pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'
     let mut profile = site_of_truth.declared_profile()?;
     let draw = Draw::new(tolerances, profile.layers.len(), site.sensors.output.len() + 1, truth.seed);
     draw.apply(&mut profile);
-    effects::apply(&truth.effects, &mut profile)?;
+    effects::apply(&truth.effects, &mut profile, &Situation::default())?;
     profile.elements *= truth.mesh_factor;
     let mut analysis = site.analysis.clone();
     analysis.max_step_s = truth.max_step_s;
