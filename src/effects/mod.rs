@@ -8,8 +8,14 @@ mod catalogue;
 mod operator;
 mod situation;
 
+mod compliant_base;
+mod container_boundary;
 mod frequency_dependent_damping;
+mod interface_slip;
 mod layer_velocity;
+mod pore_pressure;
+mod rate_dependence;
+mod structure_interaction;
 
 pub use catalogue::{Array, Catalogue, Class, Free, Instance, Parameter, Scale, place};
 pub use operator::{Operator, Place};
@@ -92,7 +98,16 @@ impl Named for Entry {
 }
 
 /// All effects, by their name in `[[effects]]`.
-pub const EFFECTS: &[Entry] = &[layer_velocity::ENTRY, frequency_dependent_damping::ENTRY];
+pub const EFFECTS: &[Entry] = &[
+    layer_velocity::ENTRY,
+    frequency_dependent_damping::ENTRY,
+    pore_pressure::ENTRY,
+    interface_slip::ENTRY,
+    compliant_base::ENTRY,
+    structure_interaction::ENTRY,
+    container_boundary::ENTRY,
+    rate_dependence::ENTRY,
+];
 
 /// The registered effect `kind`.
 ///
