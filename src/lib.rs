@@ -11,6 +11,7 @@
 pub mod cli;
 pub mod column;
 pub mod dataset;
+pub mod diagnosis;
 pub mod effects;
 pub mod error;
 pub mod flare;

@@ -20,6 +20,7 @@
 mod analysis;
 mod failure;
 mod features;
+mod linear;
 mod mesh;
 mod oscillator;
 mod profile;
@@ -29,6 +30,7 @@ mod step;
 pub use analysis::Analysis;
 pub use failure::{Cause, Failure};
 pub use features::{Container, Features, RateZone, Slip, SofteningZone, Structure};
+pub use linear::Slice;
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
 pub use run::{Frame, RunSummary};
 

@@ -1,8 +1,8 @@
 //! Shear-wave velocity of a depth range differs from the declared one.
 
-use super::{Array, Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation};
+use super::{Array, Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
 use crate::column::Profile;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::registry;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -44,7 +44,7 @@ fn instances(array: &Array) -> Vec<Instance> {
     cuts.windows(2).map(between).collect()
 }
 
-/// Scales the shear-wave velocity of every layer whose middle lies in a depth range.
+/// Scales the shear-wave velocity of a depth range; layers are cut at its ends.
 ///
 /// ```text
 /// Vs → Vs · exp(ln_factor)                                              (1)
@@ -56,8 +56,8 @@ fn instances(array: &Array) -> Vec<Instance> {
 /// | top       | `top_m`     | m    | ≥ 0        |
 /// | bottom    | `bottom_m`  | m    | > `top_m`  |
 ///
-/// Limits: whole layers only; strength and curves keep their parameters.
-/// Check:  the test below (zero strength is bit-identical; travel time changes by the factor).
+/// Limits: strength and curves keep their parameters.
+/// Check:  `zero_strength_is_identical_and_only_the_range_changes`.
 /// Source: Thompson et al. (2009) on velocity bias at vertical arrays.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -65,21 +65,14 @@ struct LayerVelocity {
     ln_factor: f64,
     #[serde(default)]
     top_m: f64,
-    #[serde(default = "whole_profile")]
+    #[serde(default = "super::bottomless")]
     bottom_m: f64,
-}
-
-fn whole_profile() -> f64 {
-    1e4
 }
 
 impl LayerVelocity {
     fn checked(self) -> Result<Self> {
         super::ranges(&[("ln_factor", self.ln_factor, -0.7, 0.7, "")])?;
-        if self.top_m < 0.0 || self.bottom_m <= self.top_m {
-            let what = format!("`bottom_m` must be larger than `top_m` ≥ 0 m, got {}…{} m", self.top_m, self.bottom_m);
-            return Err(Error::new(what).usage());
-        }
+        super::depth_range(self.top_m, self.bottom_m)?;
         Ok(self)
     }
 }
@@ -89,13 +82,8 @@ impl Effect for LayerVelocity {
         if self.ln_factor == 0.0 {
             return;
         }
-        let mut top = 0.0;
-        for layer in &mut profile.layers {
-            let middle = top + 0.5 * layer.thickness_m;
-            if (self.top_m..self.bottom_m).contains(&middle) {
-                layer.vs_m_s *= self.ln_factor.exp(); // (1)
-            }
-            top += layer.thickness_m;
+        for layer in layers::between(profile, self.top_m, self.bottom_m) {
+            layer.vs_m_s *= self.ln_factor.exp(); // (1)
         }
     }
 }
@@ -103,35 +91,17 @@ impl Effect for LayerVelocity {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::column::{Features, Layer, Rayleigh, Vertical};
-
-    fn profile() -> Profile {
-        let layer = Layer {
-            thickness_m: 2.0,
-            density_kg_m3: 1900.0,
-            vs_m_s: 150.0,
-            k0: 0.5,
-            law_kind: "elastic".into(),
-            law: toml::Table::new(),
-        };
-        Profile {
-            layers: vec![layer.clone(), layer],
-            water_table_m: 1e6,
-            vertical: Vertical::Free,
-            rayleigh: Rayleigh::default(),
-            elements: 10,
-            features: Features::default(),
-        }
-    }
+    use crate::effects::layers::tests::profile;
 
     #[test]
     fn zero_strength_is_identical_and_only_the_range_changes() {
-        let declared = profile();
-        let mut edited = profile();
-        LayerVelocity { ln_factor: 0.0, top_m: 0.0, bottom_m: 9.0 }.edit(&mut edited, &Situation::default());
-        assert_eq!(edited, declared);
-        LayerVelocity { ln_factor: 0.1, top_m: 2.0, bottom_m: 4.0 }.edit(&mut edited, &Situation::default());
-        assert_eq!(edited.layers[0].vs_m_s, 150.0);
-        assert!((edited.layers[1].vs_m_s - 150.0 * 0.1f64.exp()).abs() < 1e-12);
+        let mut edited = profile("elastic");
+        let effect = |ln_factor, top_m, bottom_m| LayerVelocity { ln_factor, top_m, bottom_m };
+        effect(0.0, 0.0, 9.0).edit(&mut edited, &Situation::default());
+        assert_eq!(edited, profile("elastic"));
+        effect(0.1, 1.5, 4.0).edit(&mut edited, &Situation::default());
+        let fast = 150.0 * 0.1f64.exp();
+        let seen: Vec<_> = edited.layers.iter().map(|l| (l.thickness_m, l.vs_m_s)).collect();
+        assert_eq!(seen, [(1.5, 150.0), (0.5, fast), (2.0, fast)]);
     }
 }

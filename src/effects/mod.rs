@@ -5,19 +5,40 @@
 //! everything bit-identical.
 
 mod catalogue;
+mod layers;
+mod observation;
 mod operator;
 mod situation;
 
+mod ageing;
+mod baseline_tilt;
+mod clock_offset;
 mod compliant_base;
 mod container_boundary;
+mod directional_anisotropy;
 mod frequency_dependent_damping;
+mod instrument_high_pass;
+mod instrument_low_pass;
 mod interface_slip;
 mod layer_velocity;
+mod machine_hum;
+mod nonlinearity;
 mod pore_pressure;
 mod rate_dependence;
+mod sensor_depth;
+mod sensor_gain;
+mod sensor_orientation;
+mod sensor_polarity;
+mod small_strain_damping;
+mod stiff_crust;
 mod structure_interaction;
+mod surface_wave;
+mod swapped_channels;
+mod thin_seam;
+mod water_table;
 
 pub use catalogue::{Array, Catalogue, Class, Free, Instance, Parameter, Scale, place};
+pub use observation::{Channels, Direction, Recording, depth_m, observe, operator};
 pub use operator::{Operator, Place};
 pub use situation::Situation;
 
@@ -28,6 +49,16 @@ use realfft::num_complex::Complex;
 
 /// Something that acts on the column or on what its sensors record; each effect overrides what it does and no more.
 pub trait Effect: Send + Sync {
+    /// Names of the sensors it sits at.
+    fn sensors(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
+    /// Name of the component it is restricted to.
+    fn component(&self) -> Option<&str> {
+        None
+    }
+
     /// Edits the set-up of the column.
     fn edit(&self, _profile: &mut Profile, _situation: &Situation) {}
 
@@ -100,11 +131,29 @@ impl Named for Entry {
 /// All effects, by their name in `[[effects]]`.
 pub const EFFECTS: &[Entry] = &[
     layer_velocity::ENTRY,
+    thin_seam::ENTRY,
+    small_strain_damping::ENTRY,
     frequency_dependent_damping::ENTRY,
+    nonlinearity::ENTRY,
     pore_pressure::ENTRY,
     interface_slip::ENTRY,
     compliant_base::ENTRY,
     structure_interaction::ENTRY,
+    directional_anisotropy::ENTRY,
+    sensor_gain::ENTRY,
+    sensor_polarity::ENTRY,
+    clock_offset::ENTRY,
+    sensor_orientation::ENTRY,
+    sensor_depth::ENTRY,
+    swapped_channels::ENTRY,
+    instrument_high_pass::ENTRY,
+    instrument_low_pass::ENTRY,
+    baseline_tilt::ENTRY,
+    machine_hum::ENTRY,
+    surface_wave::ENTRY,
+    ageing::ENTRY,
+    water_table::ENTRY,
+    stiff_crust::ENTRY,
     container_boundary::ENTRY,
     rate_dependence::ENTRY,
 ];
@@ -156,6 +205,27 @@ pub fn apply(tables: &[toml::Table], profile: &mut Profile, situation: &Situatio
     Ok(())
 }
 
+/// Checks that `tables` name sensors and components of `array` only.
+///
+/// # Errors
+/// As [`build`], and when a name is unknown.
+pub fn check_names(tables: &[toml::Table], array: &Array) -> Result<()> {
+    let sensors: Vec<&str> = array.sensors().collect();
+    let components: Vec<&str> = array.components.iter().map(String::as_str).collect();
+    for (i, effect) in build_all(tables)?.iter().enumerate() {
+        let known = |what: &str, names: &[&str], name: &str| {
+            if names.contains(&name) {
+                return Ok(());
+            }
+            let error = Error::new(format!("there is no {what} `{name}`")).hint(registry::known(names, name));
+            Err(error.usage().at(format!("effect {}", i + 1)))
+        };
+        effect.sensors().into_iter().try_for_each(|name| known("sensor", &sensors, name))?;
+        effect.component().map_or(Ok(()), |name| known("component", &components, name))?;
+    }
+    Ok(())
+}
+
 /// Checks ranges of a table's numbers: (name, value, lowest, highest, unit).
 fn ranges(checks: &[(&str, f64, f64, f64, &str)]) -> Result<()> {
     let mut problems = checks
@@ -171,3 +241,19 @@ fn ranges(checks: &[(&str, f64, f64, f64, &str)]) -> Result<()> {
     }
     Err(Error::new(problems.collect::<Vec<_>>().join("; ")).usage())
 }
+
+fn depth_range(top_m: f64, bottom_m: f64) -> Result<()> {
+    if top_m >= 0.0 && bottom_m > top_m {
+        return Ok(());
+    }
+    let what = format!("`bottom_m` must be larger than `top_m` ≥ 0 m, got {top_m}…{bottom_m} m");
+    Err(Error::new(what).usage())
+}
+
+/// `bottom_m` where a table does not give it: below every base.
+fn bottomless() -> f64 {
+    1e4
+}
+
+#[cfg(test)]
+mod tests;

@@ -37,6 +37,12 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
             problems.push(from_error(format!("effects[{i}]"), &error));
         }
     }
+    let components = site.records.as_ref().map(|r| r.components.clone()).unwrap_or_default();
+    if problems.is_empty()
+        && let Err(error) = site.column().array(&components).and_then(|a| effects::check_names(&site.effects, &a))
+    {
+        problems.push(from_error("effects".into(), &error));
+    }
     if problems.is_empty()
         && let Err(error) = site.column().profile().and_then(|p| column::Column::new(&p, &site.analysis).map(|_| ()))
     {

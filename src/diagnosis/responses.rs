@@ -1,0 +1,208 @@
+//! Columns under effects: one linear-equivalent column for each situation, responses of every record at its bins.
+
+use super::curves::Curves;
+use super::fast_column::{FastColumn, Grid, element_count};
+use super::problem::Problem;
+use super::settings::DiagnoseSettings;
+use super::spectra::{self, Group};
+use crate::column::Profile;
+use crate::effects::{Effect, Operator, Place, Situation};
+use crate::error::Result;
+use crate::records::Split;
+use rayon::prelude::*;
+use realfft::num_complex::Complex;
+use std::f64::consts::TAU;
+use std::sync::Arc;
+
+type C64 = Complex<f64>;
+
+/// Effective strain over the largest strain.
+const EFFECTIVE: f64 = 0.65;
+/// Strain with which an iteration starts.
+const START_STRAIN: f64 = 1e-5;
+
+/// The problem in the frequency domain.
+pub struct Scene<'a> {
+    /// The problem.
+    pub problem: &'a Problem,
+    /// Events as spectra.
+    pub groups: Vec<Group>,
+    curves: Curves,
+    elements: usize,
+    band_hz: [f64; 2],
+}
+
+/// Responses of the columns of all records.
+#[derive(Clone)]
+pub struct Responses {
+    /// By group and record.
+    pub records: Vec<Vec<Arc<RecordResponse>>>,
+}
+
+/// Response of one record's column.
+pub struct RecordResponse {
+    profile: Arc<Profile>,
+    depths_m: Vec<f64>,
+    /// Effective strains, surface down.
+    pub strain: Vec<f64>,
+    /// Motion of each output sensor's place over the base motion, `[bin][sensor]`.
+    pub transfer: Vec<C64>,
+}
+
+impl<'a> Scene<'a> {
+    /// Prepares `problem`.
+    ///
+    /// # Errors
+    /// When an event is unusable.
+    pub fn new(problem: &'a Problem, settings: &DiagnoseSettings) -> Result<Self> {
+        let groups = spectra::groups(problem, settings)?;
+        let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
+        let elements = element_count(&problem.array.profile, high_hz);
+        Ok(Self { problem, groups, curves: Curves::default(), elements, band_hz: [settings.band_hz[0], high_hz] })
+    }
+
+    /// Indices of the groups of `split`.
+    pub fn of(&self, split: Split) -> Vec<usize> {
+        (0..self.groups.len()).filter(|g| self.groups[*g].split == split).collect()
+    }
+
+    /// Number of whitened residuals of `groups`.
+    pub fn n_residual(&self, groups: &[usize]) -> usize {
+        groups.iter().map(|g| self.groups[*g].n_residual()).sum()
+    }
+
+    /// What the sensor at `place` makes of the motion at `frequency_hz`, all effects in order.
+    pub fn operator(effects: &[Box<dyn Effect>], place: &Place<'_>, frequency_hz: f64) -> Operator {
+        let mut all = Operator::IDENTITY;
+        for effect in effects {
+            if let Some(operator) = effect.response(place, frequency_hz) {
+                all = operator.after(&all);
+            }
+        }
+        all
+    }
+
+    /// Responses under `effects` for `groups` (others are left empty), strains iterated `iterations` times from those of
+    /// `near`. What is bit-identical to `near` is taken from there.
+    ///
+    /// # Errors
+    /// When an edited column cannot be built.
+    pub fn responses(
+        &self,
+        effects: &[Box<dyn Effect>],
+        groups: &[usize],
+        near: Option<&Responses>,
+        iterations: usize,
+    ) -> Result<Responses> {
+        let array = &self.problem.array;
+        let depths_m: Vec<f64> = array
+            .outputs
+            .iter()
+            .zip(&array.depths_m)
+            .map(|(name, depth_m)| effects.iter().fold(*depth_m, |z, e| e.depth_m(name, z)))
+            .collect();
+        let mut columns: Vec<(Arc<Profile>, Arc<FastColumn>)> = Vec::new();
+        let mut which: Vec<(usize, usize, usize)> = Vec::new();
+        for &g in groups {
+            for (r, record) in self.groups[g].records.iter().enumerate() {
+                let profile = self.profile(effects, &self.problem.events[record.event].situation);
+                let known = columns.iter().position(|(p, _)| **p == profile);
+                let index = match known {
+                    Some(index) => index,
+                    None => {
+                        let reused = near.and_then(|n| n.find(&profile));
+                        let profile = reused.unwrap_or_else(|| Arc::new(profile));
+                        let column = FastColumn::new(&profile, self.elements, &self.curves)?;
+                        columns.push((profile, Arc::new(column)));
+                        columns.len() - 1
+                    }
+                };
+                which.push((g, r, index));
+            }
+        }
+        let computed: Vec<Arc<RecordResponse>> = which
+            .par_iter()
+            .map(|&(g, r, index)| {
+                let (profile, column) = &columns[index];
+                let near = near.and_then(|n| n.records[g].get(r));
+                if let Some(near) = near
+                    && Arc::ptr_eq(&near.profile, profile)
+                    && near.depths_m == depths_m
+                {
+                    return near.clone();
+                }
+                let strain = near.map(|n| n.strain.as_slice());
+                Arc::new(self.respond(effects, [g, r], (profile, column), &depths_m, (strain, iterations)))
+            })
+            .collect();
+        let mut records = vec![Vec::new(); self.groups.len()];
+        for ((g, _, _), response) in which.iter().zip(computed) {
+            records[*g].push(response);
+        }
+        Ok(Responses { records })
+    }
+
+    fn profile(&self, effects: &[Box<dyn Effect>], situation: &Situation) -> Profile {
+        let mut profile = self.problem.array.profile.clone();
+        for effect in effects {
+            effect.edit(&mut profile, situation);
+        }
+        profile
+    }
+
+    fn respond(
+        &self,
+        effects: &[Box<dyn Effect>],
+        [g, r]: [usize; 2],
+        (profile, column): (&Arc<Profile>, &FastColumn),
+        depths_m: &[f64],
+        (strain, iterations): (Option<&[f64]>, usize),
+    ) -> RecordResponse {
+        let group = &self.groups[g];
+        let record = &group.records[r];
+        let grid = Grid::around(self.band_hz[0], self.band_hz[1], column.grid_step_hz());
+        let place = Place { sensor: &self.problem.array.input, components: &self.problem.array.components };
+        let event = &self.problem.events[record.event];
+        // The true base displacement; what other components leak into it hardly matters for the strains.
+        let displacement: Vec<C64> = group
+            .frequencies_hz
+            .iter()
+            .zip(&record.channels[0])
+            .map(|(f, a)| {
+                let undone = Self::operator(effects, &place, *f).undone();
+                let own = event.component().min(1);
+                a * undone.0[own][own] / -(TAU * f).powi(2)
+            })
+            .collect();
+        let n = record.window.len() as f64;
+        let to_effective = EFFECTIVE * record.peak_factor * 2.0f64.sqrt() / n;
+        let mut gamma = match strain {
+            Some(known) if known.len() == column.n_element() => known.to_vec(),
+            Some(known) => column
+                .relative_depths()
+                .map(|x| known[((x * known.len() as f64) as usize).min(known.len() - 1)])
+                .collect(),
+            None => vec![START_STRAIN; column.n_element()],
+        };
+        let mut march = column.march(grid, &gamma, depths_m);
+        for _ in 0..iterations {
+            let norm = march.strain_norm(&group.frequencies_hz, &displacement);
+            for (gamma, norm) in gamma.iter_mut().zip(norm) {
+                *gamma = (to_effective * norm).max(1e-9);
+            }
+            march = column.march(grid, &gamma, depths_m);
+        }
+        let mut transfer = vec![C64::default(); group.frequencies_hz.len() * depths_m.len()];
+        for (f, out) in group.frequencies_hz.iter().zip(transfer.chunks_exact_mut(depths_m.len())) {
+            march.response(*f, out);
+        }
+        RecordResponse { profile: profile.clone(), depths_m: depths_m.to_vec(), strain: gamma, transfer }
+    }
+}
+
+impl Responses {
+    /// The profile equal to `profile` that these responses already share.
+    fn find(&self, profile: &Profile) -> Option<Arc<Profile>> {
+        self.records.iter().flatten().map(|r| &r.profile).find(|p| ***p == *profile).cloned()
+    }
+}
