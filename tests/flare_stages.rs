@@ -93,8 +93,9 @@ fn records_of_another_column_are_predicted_better_after_calibration() {
         .into_iter()
         .map(|c| Event { id: c.id, u: c.u, u_half: c.u_half, sparse: c.sparse })
         .collect();
-    let settings = CalibrateSettings { epochs: 200, threshold_every: 50, ..Default::default() };
-    let calibration = calibrate(&t.model, &t.encoder, &t.observation, &events[..5], &events[5..7], &settings, &Quiet)
+    let settings = CalibrateSettings::default();
+    let split = (&events[..5], &events[5..7]);
+    let calibration = calibrate(&t.model, &t.encoder, &t.observation, &t.cases[..N_TRAIN], split, &settings, &Quiet)
         .expect("calibrates");
     let test_error = |xi: &[f32]| -> f64 {
         let one = |e: &Event| {

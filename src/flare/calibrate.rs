@@ -1,21 +1,22 @@
 //! Stage 3: the latent equations corrected by records, everything else held.
 //!
 //! ```text
-//! Ξ = Ξ₀ + ΔΞ,   L = mean ((C D(ẑ) − a_s)/σ_s)² + λ_Δ · mean_k |Δξ_k|²/|ξ₀_k|²                             (1)
+//! Ξ = Ξ₀ + ΔΞ,   L = mean ((C D(ẑ) − a_s)/σ_s)² + λ_Δ R(ΔΞ)                                                (1)
 //! ```
 //!
-//! `ẑ` is the complete rollout from the sparse encoder's state at the end of the first window, `k` counts the latent
-//! equations. Selection is by the complete-rollout error of the validation events; a candidate that diverges on one of
+//! `ẑ` is the complete rollout from the sparse encoder's state at the end of the first window, `R` the relative size of the
+//! correction in one of two metrics ([`super::penalty`]). Selection is by the complete-rollout error of the validation events; a candidate that diverges on one of
 //! them cannot be selected. Called once for each component.
 
-use super::case::Event;
+use super::case::{Case, Event};
 use super::descent::descend;
 use super::events::{Reader, Records};
-use super::gauss_newton::{Problem, Walk};
+use super::gauss_newton::{Problem, Search};
 use super::history::History;
 use super::model::{SourceModel, SparseEncoder};
 use super::observation::Observation;
-use super::settings::{CalibrateSettings, Solver};
+use super::penalty::Penalty;
+use super::settings::{CalibrateSettings, Metric, Solver};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 
@@ -49,11 +50,12 @@ pub fn calibrate(
     model: &SourceModel,
     encoder: &SparseEncoder,
     observation: &Observation,
-    train: &[Event],
-    validation: &[Event],
+    simulations: &[Case],
+    events: (&[Event], &[Event]),
     settings: &CalibrateSettings,
     progress: &dyn Progress,
 ) -> Result<Calibration> {
+    let (train, validation) = events;
     check(model, encoder, observation, train, validation, settings)?;
     let reader = Reader::new(model, observation);
     let bound = settings.state_bound as f32;
@@ -61,10 +63,15 @@ pub fn calibrate(
     let validation = Records::new(encoder, &reader, validation, settings.amplitude_weighting, bound);
     let origin = model.coefficients();
     let start = Candidate { xi: origin.to_vec(), mask: model.mask.clone(), validation: validation.error(origin, None) };
-    let problem = Problem { train: &train, validation: &validation, origin, latent: model.shape.latent, settings };
+    let penalty = match settings.metric {
+        Metric::Coefficients => Penalty::coefficients(model),
+        Metric::Field => Penalty::field(model, simulations),
+    };
+    let library = model.shape.library();
+    let problem = Problem { train: &train, validation: &validation, penalty: &penalty, library, settings };
     let (best, history) = match settings.solver {
         Solver::Adam => descend(&problem, start, progress),
-        Solver::GaussNewton => walk(&problem, start, progress),
+        Solver::GaussNewton => search(&problem, &start, progress),
     };
     if !best.validation.is_finite() {
         return Err(Error::new("no calibrated coefficients survive the validation events")
@@ -91,11 +98,6 @@ pub struct Candidate {
 }
 
 impl Candidate {
-    /// Indices of the kept coefficients.
-    pub fn kept(&self) -> Vec<usize> {
-        (0..self.mask.len()).filter(|i| self.mask[*i]).collect()
-    }
-
     /// Number of kept coefficients.
     pub fn terms(&self) -> f64 {
         self.mask.iter().filter(|k| **k).count() as f64
@@ -112,17 +114,16 @@ impl Candidate {
     }
 }
 
-fn walk(problem: &Problem<'_>, start: Candidate, progress: &dyn Progress) -> (Candidate, History) {
+fn search(problem: &Problem<'_>, start: &Candidate, progress: &dyn Progress) -> (Candidate, History) {
     let settings = problem.settings;
-    let mut walk = Walk::new(start);
-    progress.start("calibrate", settings.penalty_ladder.len() as u64);
-    let mut rung = 0;
-    while !walk.is_done(settings) {
-        walk.advance(problem);
-        progress.advance((walk.rung - rung) as u64);
-        rung = walk.rung;
+    let mut search = Search::new(start.clone());
+    progress.start("calibrate", (settings.free_terms.len() * settings.penalty_ladder.len()) as u64);
+    while !search.is_done(settings) {
+        let before = search.rungs_done(settings);
+        search.advance(problem, start);
+        progress.advance((search.rungs_done(settings) - before) as u64);
     }
-    (walk.best, walk.history)
+    (search.best, search.history)
 }
 
 fn check(
@@ -153,19 +154,6 @@ fn check(
         events.iter().try_for_each(|e| e.check(encoder.n_sensor, encoder.window))?;
     }
     Ok(())
-}
-
-/// `mean_k |Δξ_k|²/|ξ₀_k|²`; `factor` times its gradient is added.
-pub fn relative_penalty(origin: &[f32], xi: &[f32], r: usize, factor: f64, gradient: &mut [f32]) -> f64 {
-    let norms = |x: &dyn Fn(usize) -> f64| -> Vec<f64> {
-        (0..r).map(|k| (k..origin.len()).step_by(r).map(|i| x(i).powi(2)).sum()).collect()
-    };
-    let size = norms(&|i| f64::from(origin[i])).into_iter().map(|s| s.max(1e-12)).collect::<Vec<f64>>();
-    let change = norms(&|i| f64::from(xi[i] - origin[i]));
-    for (i, g) in gradient.iter_mut().enumerate() {
-        *g += (2.0 * factor * f64::from(xi[i] - origin[i]) / (size[i % r] * r as f64)) as f32;
-    }
-    change.iter().zip(&size).map(|(c, s)| c / s).sum::<f64>() / r as f64
 }
 
 fn cosine_similarity(a: &[f32], b: &[f32]) -> f64 {
@@ -301,31 +289,19 @@ mod tests {
     fn the_number_of_threads_changes_no_byte_of_a_calibration() {
         let (model, encoder, observation) = problem();
         let events: Vec<Event> = (0..10).map(|i| event(70 + 3 * i, &format!("e{i}"))).collect();
-        let settings = CalibrateSettings { penalty_ladder: vec![1.0, 0.1], steps: 2, ..Default::default() };
+        let settings = CalibrateSettings {
+            metric: Metric::Coefficients,
+            penalty_ladder: vec![1.0, 0.1],
+            steps: 2,
+            ..Default::default()
+        };
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
             let quiet = crate::progress::Quiet;
-            pool.install(|| calibrate(&model, &encoder, &observation, &events[..8], &events[8..], &settings, &quiet))
+            pool.install(|| calibrate(&model, &encoder, &observation, &[], events.split_at(8), &settings, &quiet))
                 .expect("calibrates")
         };
         assert!(run(1) == run(3));
-    }
-
-    #[test]
-    fn the_gradient_of_the_penalty_matches_finite_differences() {
-        let (model, ..) = problem();
-        let origin = model.coefficients();
-        let xi: Vec<f32> = origin.iter().zip(random(origin.len(), 0.1, "delta")).map(|(a, b)| a + b).collect();
-        let value = |xi: &[f32]| relative_penalty(origin, xi, 3, 0.7, &mut vec![0.0; xi.len()]);
-        let mut gradient = vec![0.0; xi.len()];
-        relative_penalty(origin, &xi, 3, 0.7, &mut gradient);
-        for i in 0..xi.len() {
-            let (mut up, mut down) = (xi.clone(), xi.clone());
-            up[i] += 1e-3;
-            down[i] -= 1e-3;
-            let slope = 0.7 * (value(&up) - value(&down)) / f64::from(up[i] - down[i]);
-            assert!((f64::from(gradient[i]) - slope).abs() < 1e-4 * (1.0 + slope.abs()));
-        }
     }
 
     #[test]
@@ -359,6 +335,7 @@ mod tests {
             .error(model.coefficients(), None);
         let adam = CalibrateSettings {
             solver: Solver::Adam,
+            metric: Metric::Coefficients,
             epochs: 1500,
             penalty: 0.0,
             threshold_every: 0,
@@ -367,6 +344,7 @@ mod tests {
         };
         let gauss_newton = CalibrateSettings {
             solver: Solver::GaussNewton,
+            metric: Metric::Coefficients,
             penalty_ladder: vec![1e-2, 1e-4, 1e-6],
             steps: 10,
             threshold: 0.0,
@@ -374,7 +352,7 @@ mod tests {
         };
         for (settings, share) in [(adam, 0.02), (gauss_newton, 1e-4)] {
             let quiet = crate::progress::Quiet;
-            let result = calibrate(&model, &encoder, &observation, &events[..4], &events[4..], &settings, &quiet)
+            let result = calibrate(&model, &encoder, &observation, &[], events.split_at(4), &settings, &quiet)
                 .expect("calibrates");
             assert!(result.validation_error < share * first, "{} from {first}", result.validation_error);
         }

@@ -1,20 +1,22 @@
 //! Stage 3 by Gauss–Newton steps: few unknowns, so the exact second-order model of all records is cheap.
 //!
 //! ```text
-//! (JᵀJ + (λ + μ) P) δ = −(Jᵀρ + λ P ΔΞ),   P = diag 1/(r |ξ₀_k|²)                                          (1)
+//! (JᵀJ + (λ + μ) P) δ = −(Jᵀρ + λ P ΔΞ)                                                                    (1)
 //! ```
 //!
-//! `λ` is the weight of the relative penalty, `μ` the damping of Levenberg and Marquardt, measured by the same relative size of
-//! a change: a step is taken if it lowers the objective and no rollout of a training event leaves its bound, and shortened
-//! (larger μ) until it does. A ladder of falling penalties is walked down, each rung from where the last one ended: fit,
-//! threshold, fit what is left. Every step is judged on the validation events, and the walk ends when two rungs in a row
-//! bring nothing there.
+//! `λ` is the weight of the penalty and `P` its matrix, `μ` the damping of Levenberg and Marquardt in the same metric: a step
+//! is taken if it lowers the objective and no rollout of a training event leaves its bound, and shortened (larger μ) until it
+//! does. A walk goes down a ladder of falling penalties, each rung from where the last one ended: fit, threshold, fit what is
+//! left. There is one walk from Ξ₀ for each choice of free terms. Every step is judged on the validation events, which thereby
+//! choose penalty and terms; a walk ends when some rungs in a row bring nothing there.
 
-use super::calibrate::{Candidate, relative_penalty};
+use super::calibrate::Candidate;
 use super::events::Records;
 use super::history::History;
+use super::library::Library;
 use super::normal::Normal;
-use super::settings::CalibrateSettings;
+use super::penalty::Penalty;
+use super::settings::{CalibrateSettings, FreeTerms};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 
@@ -22,63 +24,87 @@ use faer::{Mat, Side};
 const FIRST_DAMPING: f64 = 1.0;
 const DAMPING: (f64, f64) = (1e-6, 1e8);
 /// A rung ends when a step lowers the objective by less than this share.
-const SMALLEST_GAIN: f64 = 1e-3;
-/// Rungs in a row without a better validation that end the walk.
-const PATIENCE: usize = 2;
+const SMALLEST_GAIN: f64 = 2e-3;
+/// Rungs in a row without a better validation that end a walk.
+const PATIENCE: usize = 3;
 
 /// Columns of the history.
-pub const COLUMNS: [&str; 7] = ["step", "total", "observation", "penalty", "terms", "validation", "weight"];
+const COLUMNS: [&str; 8] = ["step", "total", "observation", "penalty", "terms", "validation", "weight", "free"];
 
-/// The way down the ladder: all that the next step depends on.
+/// What is minimised, and what judges.
+pub struct Problem<'a> {
+    /// Events fitted.
+    pub train: &'a Records<'a>,
+    /// Events judged on.
+    pub validation: &'a Records<'a>,
+    /// What a correction costs.
+    pub penalty: &'a Penalty,
+    /// Terms of the equations.
+    pub library: Library,
+    /// Settings of the stage.
+    pub settings: &'a CalibrateSettings,
+}
+
+/// All walks: what the next step depends on.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Walk {
+pub struct Search {
+    /// Which walk, an index into the choices of free terms.
+    pub walk: usize,
     /// Rung of the ladder.
     pub rung: usize,
     /// Whether the rung was thresholded already.
     pub is_thresholded: bool,
     /// Steps taken since the rung began or was thresholded.
     pub step: usize,
-    /// Rungs since the last better validation.
+    /// Rungs since the walk last bettered its own validation error.
     pub idle: usize,
+    /// The lowest validation error of this walk.
+    pub lowest: f64,
+    /// The lowest validation error of this walk before this rung.
+    pub before: f64,
     /// Damping μ.
     pub damping: f64,
     /// Where the walk is.
     pub at: Candidate,
-    /// The best candidate so far.
+    /// The best candidate of all so far.
     pub best: Candidate,
-    /// The lowest validation error before this rung.
-    pub before: f64,
     /// What was tried so far.
     pub history: History,
 }
 
-impl Walk {
-    /// At the top of the ladder.
+impl Search {
+    /// Before the first step.
     pub fn new(start: Candidate) -> Self {
-        let before = start.validation;
         Self {
+            walk: 0,
             rung: 0,
             is_thresholded: false,
             step: 0,
             idle: 0,
+            lowest: start.validation,
+            before: start.validation,
             damping: FIRST_DAMPING,
             at: start.clone(),
             best: start,
-            before,
             history: History::new(&COLUMNS),
         }
     }
 
-    /// Whether the walk is at its end.
+    /// Whether all walks are at their ends.
     pub fn is_done(&self, settings: &CalibrateSettings) -> bool {
-        self.rung >= settings.penalty_ladder.len() || self.idle >= PATIENCE
+        self.walk >= settings.free_terms.len()
     }
 
-    /// Takes one step, and goes on to thresholding or the next rung where the steps have come to an end.
-    pub fn advance(&mut self, problem: &Problem<'_>) {
+    /// Rungs behind it, those of ended walks counted in full.
+    pub fn rungs_done(&self, settings: &CalibrateSettings) -> usize {
+        self.walk * settings.penalty_ladder.len() + self.rung
+    }
+
+    /// Takes one step, and goes on to thresholding, the next rung or the next walk (from `start`) where the steps have come
+    /// to an end.
+    pub fn advance(&mut self, problem: &Problem<'_>, start: &Candidate) {
         let settings = problem.settings;
-        let weight = settings.penalty_ladder[self.rung];
-        let goes_on = self.step_down(problem, weight);
+        let goes_on = self.step_down(problem);
         self.step += 1;
         if goes_on && self.step < settings.steps {
             return;
@@ -89,52 +115,53 @@ impl Walk {
             return;
         }
         self.is_thresholded = false;
-        self.idle = if self.best.validation < self.before { 0 } else { self.idle + 1 };
-        self.before = self.best.validation;
+        self.idle = if self.lowest < self.before { 0 } else { self.idle + 1 };
+        self.before = self.lowest;
         self.rung += 1;
+        if self.idle >= PATIENCE || self.rung >= settings.penalty_ladder.len() {
+            let next = Self::new(start.clone());
+            let (walk, best, history) = (self.walk + 1, self.best.clone(), std::mem::take(&mut self.history));
+            *self = Self { walk, best, history, ..next };
+        }
     }
 
     /// One step of (1), judged; whether another one promises anything.
-    fn step_down(&mut self, problem: &Problem<'_>, weight: f64) -> bool {
-        let kept = self.at.kept();
+    fn step_down(&mut self, problem: &Problem<'_>) -> bool {
+        let weight = problem.settings.penalty_ladder[self.rung];
+        let free = problem.free(&self.at, problem.settings.free_terms[self.walk]);
         let old = problem.objective(&self.at.xi, weight);
-        let normal = problem.train.normal(&self.at.xi, &kept);
-        let Some(xi) = problem.descend(&normal, &kept, &self.at.xi, weight, old, &mut self.damping) else {
+        let normal = problem.train.normal(&self.at.xi, &free);
+        let Some(xi) = problem.descend(&normal, &free, &self.at.xi, weight, old, &mut self.damping) else {
             return false;
         };
         self.at.xi = xi;
         self.at.validation = problem.validation.error(&self.at.xi, None);
+        self.lowest = self.lowest.min(self.at.validation);
         if self.at.validation < self.best.validation {
             self.best = self.at.clone();
         }
         let (observation, penalty) = problem.parts(&self.at.xi);
         let new = observation + weight * penalty;
         let judged = if self.at.validation.is_finite() { self.at.validation } else { f64::NAN };
-        let number = self.history.rows.len() as f64;
-        self.history.rows.push(vec![number, new, observation, penalty, self.at.terms(), judged, weight]);
+        let number = 1.0 + self.history.rows.len() as f64;
+        let row = vec![number, new, observation, penalty, self.at.terms(), judged, weight, free.len() as f64];
+        self.history.rows.push(row);
         new < (1.0 - SMALLEST_GAIN) * old
     }
 }
 
-/// What is minimised, and what judges.
-pub struct Problem<'a> {
-    /// Events fitted.
-    pub train: &'a Records<'a>,
-    /// Events judged on.
-    pub validation: &'a Records<'a>,
-    /// Ξ₀.
-    pub origin: &'a [f32],
-    /// Latent dimension.
-    pub latent: usize,
-    /// Settings of the stage.
-    pub settings: &'a CalibrateSettings,
-}
-
 impl Problem<'_> {
+    /// Indices of the coefficients that may move.
+    fn free(&self, at: &Candidate, terms: FreeTerms) -> Vec<usize> {
+        let r = self.library.latent;
+        let quadratic = self.library.linear_row(r)..self.library.input_row();
+        let is_free = |i: &usize| terms == FreeTerms::All || !quadratic.contains(&(i / r));
+        (0..at.mask.len()).filter(|i| at.mask[*i]).filter(is_free).collect()
+    }
+
     /// Error of the training events and relative penalty.
     fn parts(&self, xi: &[f32]) -> (f64, f64) {
-        let penalty = relative_penalty(self.origin, xi, self.latent, 0.0, &mut []);
-        (self.train.misfit(xi).0, penalty)
+        (self.train.misfit(xi).0, self.penalty.value(xi))
     }
 
     fn objective(&self, xi: &[f32], weight: f64) -> f64 {
@@ -146,7 +173,7 @@ impl Problem<'_> {
     fn descend(
         &self,
         normal: &Normal,
-        kept: &[usize],
+        free: &[usize],
         xi: &[f32],
         weight: f64,
         old: f64,
@@ -154,11 +181,11 @@ impl Problem<'_> {
     ) -> Option<Vec<f32>> {
         let was_bounded = self.train.misfit(xi).1;
         while *damping <= DAMPING.1 {
-            if let Some(step) = self.step(normal, kept, xi, weight, *damping) {
+            if let Some(step) = self.step(normal, free, xi, weight, *damping) {
                 let mut moved = xi.to_vec();
-                kept.iter().zip(&step).for_each(|(i, d)| moved[*i] = (f64::from(xi[*i]) + d) as f32);
+                free.iter().zip(&step).for_each(|(i, d)| moved[*i] = (f64::from(xi[*i]) + d) as f32);
                 let (observation, is_bounded) = self.train.misfit(&moved);
-                let new = observation + weight * relative_penalty(self.origin, &moved, self.latent, 0.0, &mut []);
+                let new = observation + weight * self.penalty.value(&moved);
                 if new < old && (is_bounded || !was_bounded) {
                     *damping = (*damping * 0.2).max(DAMPING.0);
                     return Some(moved);
@@ -171,19 +198,14 @@ impl Problem<'_> {
     }
 
     /// δ of equation (1), nothing where the matrix is not positive.
-    fn step(&self, normal: &Normal, kept: &[usize], xi: &[f32], weight: f64, damping: f64) -> Option<Vec<f64>> {
-        let r = self.latent;
-        let size: Vec<f64> = (0..r)
-            .map(|k| self.origin.iter().skip(k).step_by(r).map(|c| f64::from(*c).powi(2)).sum::<f64>().max(1e-12))
-            .collect();
-        let stiffness = |i: usize| 1.0 / (size[kept[i] % r] * r as f64);
-        let matrix = Mat::from_fn(kept.len(), kept.len(), |i, j| {
-            normal.curvature(i, j) + if i == j { (weight + damping) * stiffness(i) } else { 0.0 }
+    fn step(&self, normal: &Normal, free: &[usize], xi: &[f32], weight: f64, damping: f64) -> Option<Vec<f64>> {
+        let matrix = Mat::from_fn(free.len(), free.len(), |i, j| {
+            normal.curvature(i, j) + (weight + damping) * self.penalty.curvature(free[i], free[j])
         });
-        let change = |i: usize| f64::from(xi[kept[i]] - self.origin[kept[i]]);
-        let right = Mat::from_fn(kept.len(), 1, |i, _| -normal.slope(i) - weight * stiffness(i) * change(i));
+        let pull = self.penalty.half_gradient(xi);
+        let right = Mat::from_fn(free.len(), 1, |i, _| -normal.slope(i) - weight * pull[free[i]]);
         let step = matrix.llt(Side::Lower).ok()?.solve(&right);
-        let step: Vec<f64> = (0..kept.len()).map(|i| step[(i, 0)]).collect();
+        let step: Vec<f64> = (0..free.len()).map(|i| step[(i, 0)]).collect();
         step.iter().all(|d| d.is_finite()).then_some(step)
     }
 }

@@ -1,0 +1,210 @@
+//! What a correction of the latent equations costs before the records have asked for it.
+//!
+//! ```text
+//! R = mean_k  Δξ_kᵀ C Δξ_k / (ξ₀_kᵀ C ξ₀_k),   k: latent equations                                          (1)
+//! ```
+//!
+//! | metric         | C                                   | meaning                                                  |
+//! |----------------|-------------------------------------|----------------------------------------------------------|
+//! | `coefficients` | 1                                   | relative size of the correction, as published            |
+//! | `field`        | mean of θ θᵀ over the simulations   | relative change of dz/dt where the simulations have been |
+//!
+//! A few weak events say little about the terms that matter in strong shaking. The published penalty leaves those terms as
+//! free as any other; `field` asks that the equations of strong simulated motions change only as much as those of weak ones.
+//! Limits: the simulations must reach the amplitudes that are to be predicted.
+
+use super::case::Case;
+use super::kernels::{LANES, Lanes};
+use super::mlp::{product, view, view_mut};
+use super::model::SourceModel;
+use faer::Accum;
+use rayon::prelude::*;
+
+/// Share of the plain metric in `field`, so that directions no simulation has taken are not free.
+const PLAIN_SHARE: f64 = 1e-6;
+
+/// The quadratic form (1).
+pub struct Penalty {
+    origin: Vec<f32>,
+    latent: usize,
+    /// C, `[n_term · n_term]`; none for the identity.
+    metric: Option<Vec<f64>>,
+    /// `1/(r · ξ₀_kᵀ C ξ₀_k)`.
+    scale: Vec<f64>,
+}
+
+impl Penalty {
+    /// The published metric.
+    pub fn coefficients(model: &SourceModel) -> Self {
+        Self::new(model, None)
+    }
+
+    /// The metric of the vector field over `simulations`.
+    pub fn field(model: &SourceModel, simulations: &[Case]) -> Self {
+        let n = model.shape.library().n_term();
+        let parts: Vec<(Vec<f64>, usize)> = simulations.par_iter().map(|case| second_moments(model, case)).collect();
+        let count: usize = parts.iter().map(|(_, n)| n).sum();
+        let mut metric = vec![0.0; n * n];
+        parts.iter().for_each(|(part, _)| metric.iter_mut().zip(part).for_each(|(m, p)| *m += p / count as f64));
+        let plain = PLAIN_SHARE * (0..n).map(|i| metric[i * n + i]).sum::<f64>() / n as f64;
+        (0..n).for_each(|i| metric[i * n + i] += plain);
+        Self::new(model, Some(metric))
+    }
+
+    fn new(model: &SourceModel, metric: Option<Vec<f64>>) -> Self {
+        let latent = model.shape.latent;
+        let mut penalty = Self { origin: model.coefficients().to_vec(), latent, metric, scale: vec![1.0; latent] };
+        let whole: Vec<f64> = penalty.origin.iter().map(|c| f64::from(*c)).collect();
+        penalty.scale = (0..latent)
+            .map(|k| 1.0 / (latent as f64 * penalty.equation(&penalty.column(&whole, k)).max(1e-12)))
+            .collect();
+        penalty
+    }
+
+    /// R of (1).
+    pub fn value(&self, xi: &[f32]) -> f64 {
+        let change = self.change(xi);
+        (0..self.latent).map(|k| self.scale[k] * self.equation(&self.column(&change, k))).sum()
+    }
+
+    /// Half the gradient of R by every coefficient.
+    pub fn half_gradient(&self, xi: &[f32]) -> Vec<f64> {
+        let (change, r) = (self.change(xi), self.latent);
+        let Some(metric) = &self.metric else {
+            return change.iter().enumerate().map(|(i, c)| self.scale[i % r] * c).collect();
+        };
+        let n = change.len() / r;
+        let entry = |p: usize, k: usize| (0..n).map(|q| metric[p * n + q] * change[q * r + k]).sum::<f64>();
+        (0..change.len()).map(|i| self.scale[i % r] * entry(i / r, i % r)).collect()
+    }
+
+    /// Half the second derivative of R by coefficients `i` and `j`.
+    pub fn curvature(&self, i: usize, j: usize) -> f64 {
+        let r = self.latent;
+        if i % r != j % r {
+            return 0.0;
+        }
+        let entry = match &self.metric {
+            Some(metric) => metric[(i / r) * (self.origin.len() / r) + j / r],
+            None => f64::from(u8::from(i == j)),
+        };
+        self.scale[i % r] * entry
+    }
+
+    fn change(&self, xi: &[f32]) -> Vec<f64> {
+        xi.iter().zip(&self.origin).map(|(a, b)| f64::from(*a) - f64::from(*b)).collect()
+    }
+
+    fn column(&self, xi: &[f64], k: usize) -> Vec<f64> {
+        xi.iter().skip(k).step_by(self.latent).copied().collect()
+    }
+
+    /// `xᵀ C x`.
+    fn equation(&self, x: &[f64]) -> f64 {
+        match &self.metric {
+            None => x.iter().map(|v| v * v).sum(),
+            Some(metric) => metric
+                .chunks_exact(x.len())
+                .zip(x)
+                .map(|(row, a)| a * row.iter().zip(x).map(|(c, b)| c * b).sum::<f64>())
+                .sum(),
+        }
+    }
+}
+
+/// Sum of θ θᵀ over the samples of a case, and their number.
+fn second_moments(model: &SourceModel, case: &Case) -> (Vec<f64>, usize) {
+    let library = model.shape.library();
+    let (r, n) = (library.latent, library.n_term());
+    let z = model.encode(&case.dense);
+    let u = &case.u[model.shape.window - 1..];
+    let mut rows = Vec::with_capacity(u.len() * n);
+    let mut theta = vec![Lanes::ZERO; n];
+    for (z, u) in z.chunks(LANES * r).zip(u.chunks(LANES)) {
+        let states: Vec<Lanes> = (0..r).map(|i| gather(z.iter().skip(i).step_by(r))).collect();
+        library.terms(&states, &gather(u.iter()), &mut theta);
+        (0..u.len()).for_each(|lane| rows.extend(theta.iter().map(|t| t.0[lane])));
+    }
+    let mut sum = vec![0.0_f32; n * n];
+    let all = view(&rows, u.len(), n);
+    product(view_mut(&mut sum, n, n), Accum::Replace, all.transpose(), all);
+    (sum.into_iter().map(f64::from).collect(), u.len())
+}
+
+fn gather<'a>(values: impl Iterator<Item = &'a f32>) -> Lanes {
+    let mut lanes = Lanes::ZERO;
+    lanes.0.iter_mut().zip(values).for_each(|(to, from)| *to = *from);
+    lanes
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flare::PretrainSettings;
+    use crate::flare::model::Shape;
+    use crate::numerics::random::stream;
+    use rand::RngExt;
+
+    fn random(n: usize, scale: f32, label: &str) -> Vec<f32> {
+        let mut random = stream(11, label);
+        (0..n).map(|_| scale * (2.0 * random.random::<f32>() - 1.0)).collect()
+    }
+
+    fn problem() -> (SourceModel, Vec<Case>) {
+        let settings = PretrainSettings { latent: 3, channels: 4, encoder_hidden: vec![5], ..Default::default() };
+        let shape = Shape::new(&settings);
+        let parameters = random(shape.decoder_range().end, 0.5, "parameters");
+        let mask = vec![true; shape.library().n_coefficient()];
+        let case = |i: usize| Case {
+            id: i.to_string(),
+            u: random(30, 1.0, &format!("u {i}")),
+            u_half: random(29, 1.0, &format!("half {i}")),
+            dense: random(120, 1.0, &format!("dense {i}")),
+            sparse: vec![],
+        };
+        (SourceModel { shape, parameters, mask }, (0..3).map(case).collect())
+    }
+
+    #[test]
+    fn gradient_and_curvature_match_finite_differences_in_both_metrics() {
+        let (model, cases) = problem();
+        for penalty in [Penalty::coefficients(&model), Penalty::field(&model, &cases)] {
+            let origin = penalty.origin.clone();
+            let xi: Vec<f32> = origin.iter().zip(random(origin.len(), 0.3, "delta")).map(|(a, b)| a + b).collect();
+            let gradient = penalty.half_gradient(&xi);
+            let moved = |i: usize, h: f32| {
+                let mut moved = xi.clone();
+                moved[i] += h;
+                moved
+            };
+            for i in 0..xi.len() {
+                let (up, down) = (moved(i, 1e-2), moved(i, -1e-2));
+                let step = 2.0 * f64::from(up[i] - down[i]);
+                let slope = (penalty.value(&up) - penalty.value(&down)) / step;
+                assert!((gradient[i] - slope).abs() < 1e-6 * (1.0 + slope.abs()), "{i}: {} {slope}", gradient[i]);
+                let (up, down) = (penalty.half_gradient(&up), penalty.half_gradient(&down));
+                for j in 0..xi.len() {
+                    let bend = 2.0 * (up[j] - down[j]) / step;
+                    let found = penalty.curvature(i, j);
+                    assert!((found - bend).abs() < 1e-5 * (1.0 + bend.abs()), "({i}, {j}): {found} {bend}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn the_field_metric_is_the_relative_change_of_the_equations_at_the_simulated_states() {
+        let (model, cases) = problem();
+        let penalty = Penalty::field(&model, &cases);
+        let library = model.shape.library();
+        let xi: Vec<f32> = penalty.origin.iter().map(|c| 1.1 * c).collect();
+        assert!((penalty.value(&xi) - 0.01).abs() < 1e-6, "every equation is a tenth larger everywhere");
+        // a change of one term costs by the power of that term
+        let mut xi = penalty.origin.clone();
+        xi[library.input_row() * 3 + 1] += 0.5;
+        let u: Vec<f64> = cases.iter().flat_map(|c| &c.u[2..]).map(|u| f64::from(*u)).collect();
+        let power = u.iter().map(|u| u * u).sum::<f64>() / u.len() as f64;
+        let expected = penalty.scale[1] * 0.25 * power;
+        assert!((penalty.value(&xi) - expected).abs() < 1e-4 * expected, "{} {expected}", penalty.value(&xi));
+    }
+}
