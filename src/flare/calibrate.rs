@@ -9,7 +9,7 @@
 //! them cannot be selected. Called once for each component.
 
 use super::case::{Case, Event};
-use super::descent::descend;
+use super::descent::Descent;
 use super::events::{Reader, Records};
 use super::gauss_newton::{Problem, Search};
 use super::history::History;
@@ -17,8 +17,13 @@ use super::model::{SourceModel, SparseEncoder};
 use super::observation::Observation;
 use super::penalty::Penalty;
 use super::settings::{CalibrateSettings, Metric, Solver};
+use super::snapshot::Fingerprint;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use std::path::Path;
+
+/// Epochs of gradient descent between checkpoints.
+const CHECKPOINT_EVERY: usize = 25;
 
 /// Calibrated latent equations of one component.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,7 +47,19 @@ impl Calibration {
     }
 }
 
-/// Calibrates the coefficients on `train` and keeps those best on `validation`; `Ξ₀` itself is the first candidate.
+/// What stage 3 learns from.
+#[derive(Debug, Clone, Copy)]
+pub struct Data<'a> {
+    /// Training simulations; only the penalty looks at them, and only with [`Metric::Field`].
+    pub simulations: &'a [Case],
+    /// Events the coefficients are fitted to.
+    pub train: &'a [Event],
+    /// Events that choose among candidates.
+    pub validation: &'a [Event],
+}
+
+/// Calibrates the coefficients on the training events and keeps those best on the validation events; `Ξ₀` itself is the
+/// first candidate. With a `checkpoint_dir` an interrupted calibration goes on where it was.
 ///
 /// # Errors
 /// When events do not fit the model, or no candidate survives the validation events.
@@ -50,29 +67,37 @@ pub fn calibrate(
     model: &SourceModel,
     encoder: &SparseEncoder,
     observation: &Observation,
-    simulations: &[Case],
-    events: (&[Event], &[Event]),
+    data: &Data<'_>,
     settings: &CalibrateSettings,
+    checkpoint_dir: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Calibration> {
-    let (train, validation) = events;
-    check(model, encoder, observation, train, validation, settings)?;
+    check(model, encoder, observation, data, settings)?;
     let reader = Reader::new(model, observation);
     let bound = settings.state_bound as f32;
-    let train = Records::new(encoder, &reader, train, settings.amplitude_weighting, bound);
-    let validation = Records::new(encoder, &reader, validation, settings.amplitude_weighting, bound);
+    let train = Records::new(encoder, &reader, data.train, settings.amplitude_weighting, bound);
+    let validation = Records::new(encoder, &reader, data.validation, settings.amplitude_weighting, bound);
     let origin = model.coefficients();
     let start = Candidate { xi: origin.to_vec(), mask: model.mask.clone(), validation: validation.error(origin, None) };
     let penalty = match settings.metric {
         Metric::Coefficients => Penalty::coefficients(model),
-        Metric::Field => Penalty::field(model, simulations),
+        Metric::Field => Penalty::field(model, data.simulations),
     };
     let library = model.shape.library();
     let problem = Problem { train: &train, validation: &validation, penalty: &penalty, library, settings };
+    let print = Fingerprint::new("flare-pipe calibration v1")
+        .text(&format!("{settings:?}"))
+        .floats(&model.parameters)
+        .floats(&encoder.parameters)
+        .floats(&observation.normalised_matrix())
+        .cases(data.simulations.iter())
+        .events(data.train.iter().chain(data.validation))
+        .finish();
+    let checkpoint = checkpoint_dir.map(|dir| (dir, print));
     let (best, history) = match settings.solver {
-        Solver::Adam => descend(&problem, start, progress),
-        Solver::GaussNewton => search(&problem, &start, progress),
-    };
+        Solver::Adam => descend(&problem, &start, &checkpoint, progress),
+        Solver::GaussNewton => search(&problem, &start, &checkpoint, progress),
+    }?;
     if !best.validation.is_finite() {
         return Err(Error::new("no calibrated coefficients survive the validation events")
             .hint("raise `penalty` or the first of `penalty_ladder`"));
@@ -114,24 +139,59 @@ impl Candidate {
     }
 }
 
-fn search(problem: &Problem<'_>, start: &Candidate, progress: &dyn Progress) -> (Candidate, History) {
+/// Where a solver keeps its state, and under which fingerprint.
+type Checkpoint<'a> = Option<(&'a Path, String)>;
+
+fn search(
+    problem: &Problem<'_>,
+    start: &Candidate,
+    checkpoint: &Checkpoint<'_>,
+    progress: &dyn Progress,
+) -> Result<(Candidate, History)> {
     let settings = problem.settings;
-    let mut search = Search::new(start.clone());
+    let kept = checkpoint.as_ref().and_then(|(dir, print)| Search::load(dir, print));
+    let mut search = kept.unwrap_or_else(|| Search::new(start.clone()));
     progress.start("calibrate", (settings.free_terms.len() * settings.penalty_ladder.len()) as u64);
+    progress.advance(search.rungs_done(settings) as u64);
     while !search.is_done(settings) {
         let before = search.rungs_done(settings);
         search.advance(problem, start);
+        if let Some((dir, print)) = checkpoint {
+            search.save(dir, print)?;
+        }
         progress.advance((search.rungs_done(settings) - before) as u64);
     }
-    (search.best, search.history)
+    Ok((search.best, search.history))
+}
+
+fn descend(
+    problem: &Problem<'_>,
+    start: &Candidate,
+    checkpoint: &Checkpoint<'_>,
+    progress: &dyn Progress,
+) -> Result<(Candidate, History)> {
+    let settings = problem.settings;
+    let kept = checkpoint.as_ref().and_then(|(dir, print)| Descent::load(dir, print));
+    let mut descent = kept.unwrap_or_else(|| Descent::new(problem, start.clone()));
+    progress.start("calibrate", settings.epochs as u64);
+    progress.advance(descent.epoch as u64);
+    while descent.epoch < settings.epochs {
+        descent.advance(problem);
+        if let Some((dir, print)) = checkpoint
+            && descent.epoch.is_multiple_of(CHECKPOINT_EVERY)
+        {
+            descent.save(dir, print)?;
+        }
+        progress.advance(1);
+    }
+    Ok((descent.best, descent.history))
 }
 
 fn check(
     model: &SourceModel,
     encoder: &SparseEncoder,
     observation: &Observation,
-    train: &[Event],
-    validation: &[Event],
+    data: &Data<'_>,
     settings: &CalibrateSettings,
 ) -> Result<()> {
     if let Some((key, problem)) = settings.problems().into_iter().next() {
@@ -147,7 +207,7 @@ fn check(
             encoder.n_sensor
         )));
     }
-    for (events, what) in [(train, "training"), (validation, "validation")] {
+    for (events, what) in [(data.train, "training"), (data.validation, "validation")] {
         if events.is_empty() {
             return Err(Error::new(format!("there is no {what} event")));
         }
@@ -298,8 +358,11 @@ mod tests {
         let run = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
             let quiet = crate::progress::Quiet;
-            pool.install(|| calibrate(&model, &encoder, &observation, &[], events.split_at(8), &settings, &quiet))
-                .expect("calibrates")
+            pool.install(|| {
+                let data = Data { simulations: &[], train: &events[..8], validation: &events[8..] };
+                calibrate(&model, &encoder, &observation, &data, &settings, None, &quiet)
+            })
+            .expect("calibrates")
         };
         assert!(run(1) == run(3));
     }
@@ -352,8 +415,11 @@ mod tests {
         };
         for (settings, share) in [(adam, 0.02), (gauss_newton, 1e-4)] {
             let quiet = crate::progress::Quiet;
-            let result = calibrate(&model, &encoder, &observation, &[], events.split_at(4), &settings, &quiet)
-                .expect("calibrates");
+            let result = {
+                let data = Data { simulations: &[], train: &events[..4], validation: &events[4..] };
+                calibrate(&model, &encoder, &observation, &data, &settings, None, &quiet)
+            }
+            .expect("calibrates");
             assert!(result.validation_error < share * first, "{} from {first}", result.validation_error);
         }
     }

@@ -56,10 +56,11 @@ mod ridge;
 mod rollout;
 mod sensitivity;
 mod settings;
+mod snapshot;
 mod start;
 mod validation;
 
-pub use calibrate::{Calibration, calibrate};
+pub use calibrate::{Calibration, Data, calibrate};
 pub use case::{Case, Event};
 pub use checkpoint::Normalisation;
 pub use distill::distill;

@@ -11,26 +11,23 @@
 //!
 //! A few weak events say little about the terms that matter in strong shaking. The published penalty leaves those terms as
 //! free as any other; `field` asks that the equations of strong simulated motions change only as much as those of weak ones.
-//! Limits: the simulations must reach the amplitudes that are to be predicted.
+//! A hundredth of the published penalty is added to it. Limits: the simulations must reach the amplitudes that are to be predicted.
 
 use super::case::Case;
 use super::kernels::{LANES, Lanes};
 use super::mlp::{product, view, view_mut};
 use super::model::SourceModel;
-use faer::Accum;
+use faer::{Accum, Mat};
 use rayon::prelude::*;
 
-/// Share of the plain metric in `field`, so that directions no simulation has taken are not free.
-const PLAIN_SHARE: f64 = 1e-6;
+/// Share of the published metric in `field`, so that directions no simulation has taken are not free.
+const PLAIN_SHARE: f64 = 0.01;
 
-/// The quadratic form (1).
+/// The quadratic form (1): one block an equation.
 pub struct Penalty {
     origin: Vec<f32>,
-    latent: usize,
-    /// C, `[n_term · n_term]`; none for the identity.
-    metric: Option<Vec<f64>>,
-    /// `1/(r · ξ₀_kᵀ C ξ₀_k)`.
-    scale: Vec<f64>,
+    /// `C/(r · ξ₀_kᵀ C ξ₀_k)`, each `[n_term × n_term]`.
+    blocks: Vec<Mat<f64>>,
 }
 
 impl Penalty {
@@ -46,69 +43,52 @@ impl Penalty {
         let count: usize = parts.iter().map(|(_, n)| n).sum();
         let mut metric = vec![0.0; n * n];
         parts.iter().for_each(|(part, _)| metric.iter_mut().zip(part).for_each(|(m, p)| *m += p / count as f64));
-        let plain = PLAIN_SHARE * (0..n).map(|i| metric[i * n + i]).sum::<f64>() / n as f64;
-        (0..n).for_each(|i| metric[i * n + i] += plain);
         Self::new(model, Some(metric))
     }
 
     fn new(model: &SourceModel, metric: Option<Vec<f64>>) -> Self {
-        let latent = model.shape.latent;
-        let mut penalty = Self { origin: model.coefficients().to_vec(), latent, metric, scale: vec![1.0; latent] };
-        let whole: Vec<f64> = penalty.origin.iter().map(|c| f64::from(*c)).collect();
-        penalty.scale = (0..latent)
-            .map(|k| 1.0 / (latent as f64 * penalty.equation(&penalty.column(&whole, k)).max(1e-12)))
-            .collect();
-        penalty
+        let (latent, n) = (model.shape.latent, model.shape.library().n_term());
+        let origin = model.coefficients().to_vec();
+        let share = if metric.is_some() { PLAIN_SHARE } else { 1.0 };
+        let blocks = (0..latent).map(|k| {
+            let column: Vec<f64> = origin.iter().skip(k).step_by(latent).map(|c| f64::from(*c)).collect();
+            let mut block = Mat::<f64>::zeros(n, n);
+            if let Some(metric) = &metric {
+                let size: f64 = (0..n * n).map(|i| metric[i] * column[i / n] * column[i % n]).sum();
+                block += Mat::from_fn(n, n, |i, j| metric[i * n + j] / (latent as f64 * size.max(1e-12)));
+            }
+            let size: f64 = column.iter().map(|c| c * c).sum();
+            (0..n).for_each(|i| block[(i, i)] += share / (latent as f64 * size.max(1e-12)));
+            block
+        });
+        Self { blocks: blocks.collect(), origin }
     }
 
     /// R of (1).
     pub fn value(&self, xi: &[f32]) -> f64 {
-        let change = self.change(xi);
-        (0..self.latent).map(|k| self.scale[k] * self.equation(&self.column(&change, k))).sum()
+        self.half_gradient(xi).iter().zip(self.change(xi)).map(|(g, c)| g * c).sum()
     }
 
     /// Half the gradient of R by every coefficient.
     pub fn half_gradient(&self, xi: &[f32]) -> Vec<f64> {
-        let (change, r) = (self.change(xi), self.latent);
-        let Some(metric) = &self.metric else {
-            return change.iter().enumerate().map(|(i, c)| self.scale[i % r] * c).collect();
-        };
-        let n = change.len() / r;
-        let entry = |p: usize, k: usize| (0..n).map(|q| metric[p * n + q] * change[q * r + k]).sum::<f64>();
-        (0..change.len()).map(|i| self.scale[i % r] * entry(i / r, i % r)).collect()
+        let (change, r) = (self.change(xi), self.blocks.len());
+        let mut gradient = vec![0.0; change.len()];
+        for (k, block) in self.blocks.iter().enumerate() {
+            let column = Mat::from_fn(block.nrows(), 1, |p, _| change[p * r + k]);
+            let product = block * column;
+            (0..block.nrows()).for_each(|p| gradient[p * r + k] = product[(p, 0)]);
+        }
+        gradient
     }
 
     /// Half the second derivative of R by coefficients `i` and `j`.
     pub fn curvature(&self, i: usize, j: usize) -> f64 {
-        let r = self.latent;
-        if i % r != j % r {
-            return 0.0;
-        }
-        let entry = match &self.metric {
-            Some(metric) => metric[(i / r) * (self.origin.len() / r) + j / r],
-            None => f64::from(u8::from(i == j)),
-        };
-        self.scale[i % r] * entry
+        let r = self.blocks.len();
+        if i % r == j % r { self.blocks[i % r][(i / r, j / r)] } else { 0.0 }
     }
 
     fn change(&self, xi: &[f32]) -> Vec<f64> {
         xi.iter().zip(&self.origin).map(|(a, b)| f64::from(*a) - f64::from(*b)).collect()
-    }
-
-    fn column(&self, xi: &[f64], k: usize) -> Vec<f64> {
-        xi.iter().skip(k).step_by(self.latent).copied().collect()
-    }
-
-    /// `xᵀ C x`.
-    fn equation(&self, x: &[f64]) -> f64 {
-        match &self.metric {
-            None => x.iter().map(|v| v * v).sum(),
-            Some(metric) => metric
-                .chunks_exact(x.len())
-                .zip(x)
-                .map(|(row, a)| a * row.iter().zip(x).map(|(c, b)| c * b).sum::<f64>())
-                .sum(),
-        }
     }
 }
 
@@ -198,13 +178,39 @@ mod tests {
         let penalty = Penalty::field(&model, &cases);
         let library = model.shape.library();
         let xi: Vec<f32> = penalty.origin.iter().map(|c| 1.1 * c).collect();
-        assert!((penalty.value(&xi) - 0.01).abs() < 1e-6, "every equation is a tenth larger everywhere");
+        assert!((penalty.value(&xi) - 0.0101).abs() < 1e-6, "every equation is a tenth larger everywhere");
         // a change of one term costs by the power of that term
         let mut xi = penalty.origin.clone();
         xi[library.input_row() * 3 + 1] += 0.5;
         let u: Vec<f64> = cases.iter().flat_map(|c| &c.u[2..]).map(|u| f64::from(*u)).collect();
         let power = u.iter().map(|u| u * u).sum::<f64>() / u.len() as f64;
-        let expected = penalty.scale[1] * 0.25 * power;
+        let plain = Penalty::coefficients(&model).value(&xi);
+        let sized = |f: &dyn Fn(&[f64], f64) -> f64| -> f64 {
+            cases
+                .iter()
+                .map(|c| {
+                    model
+                        .encode(&c.dense)
+                        .chunks(3)
+                        .zip(&c.u[2..])
+                        .map(|(z, u)| {
+                            let z: Vec<f64> = z.iter().map(|v| f64::from(*v)).collect();
+                            f(&z, f64::from(*u)).powi(2)
+                        })
+                        .sum::<f64>()
+                })
+                .sum::<f64>()
+                / u.len() as f64
+        };
+        let of = |p: usize| f64::from(penalty.origin[p * 3 + 1]);
+        let whole = sized(&|z, u| {
+            let mut theta = vec![1.0];
+            theta.extend(z);
+            (0..3).for_each(|i| (i..3).for_each(|j| theta.push(z[i] * z[j])));
+            theta.push(u);
+            theta.iter().enumerate().map(|(p, t)| t * of(p)).sum()
+        });
+        let expected = 0.25 * power / (3.0 * whole) + PLAIN_SHARE * plain;
         assert!((penalty.value(&xi) - expected).abs() < 1e-4 * expected, "{} {expected}", penalty.value(&xi));
     }
 }

@@ -3,7 +3,7 @@
 use super::{dataset, records};
 use crate::dataset::{Coarse, Normalisation};
 use crate::error::{Error, Result};
-use crate::flare::{CalibrateSettings, Event, Metric, SourceModel, SparseEncoder, calibrate};
+use crate::flare::{CalibrateSettings, Data, Event, Metric, SourceModel, SparseEncoder, calibrate};
 use crate::manifest::SensorsSection;
 use crate::pipeline::{Stage, Task};
 use crate::records::{Record, Split};
@@ -46,8 +46,9 @@ impl Stage for Calibrate {
             Metric::Field => dataset::cases(task.input("dataset")?, &card.train)?,
             Metric::Coefficients => Vec::new(),
         };
-        let split = (train.as_slice(), validation.as_slice());
-        let calibration = calibrate(&model, &encoder, &observation, &simulations, split, &settings, task.progress())?;
+        let data = Data { simulations: &simulations, train: &train, validation: &validation };
+        let checkpoint_dir = Some(task.checkpoint_dir()?);
+        let calibration = calibrate(&model, &encoder, &observation, &data, &settings, checkpoint_dir, task.progress())?;
         calibration.save(task.output_dir(), &model.shape)?;
         calibration.history.save(&task.output_dir().join("history.csv"))
     }
