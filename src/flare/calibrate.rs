@@ -316,7 +316,7 @@ mod tests {
             moved[i] += h;
             let mut all = Vec::new();
             for group in &records.groups {
-                let n_step = group.forcing.u.len();
+                let n_step = group.forcing.n_step();
                 let rolled = records.roll_out(group, &moved);
                 for (lane, target) in group.target.iter().enumerate() {
                     let scale = (f64::from(group.weight[lane]) / records.count).sqrt();

@@ -4,6 +4,7 @@ use super::adjoint::reverse;
 use super::case::{Event, amplitude_weights};
 use super::integrator::{Forcing, Trajectory, rollout};
 use super::kernels::{LANES, Lanes};
+use super::memory::Drive;
 use super::mlp::{Mlp, Tape};
 use super::model::{SourceModel, SparseEncoder};
 use super::objective::{from_lanes, to_lanes};
@@ -71,15 +72,16 @@ impl<'a> Records<'a> {
         let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
         let starting: Vec<Vec<f32>> =
             events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
+        let drives: Vec<Drive> = events.iter().map(|e| reader.model.shape.drive(&e.u, &e.u_half, 1.0)).collect();
         let starts: Vec<Start<'_>> =
-            events.iter().zip(&starting).map(|(e, z0)| Start { z0, u: &e.u[t0..], u_half: &e.u_half[t0..] }).collect();
+            drives.iter().zip(&starting).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
         let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * encoder.n_sensor..].to_vec()).collect();
         let count: usize = targets.iter().map(|t| t.len() - encoder.n_sensor).sum();
         let groups = starts
             .chunks(LANES)
             .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
             .map(|(starts, (target, weight))| {
-                let (forcing, z0) = load_group(reader.model.shape.latent, starts, 1.0);
+                let (forcing, z0) = load_group(reader.model.shape.latent, starts);
                 Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
             })
             .collect();
@@ -110,7 +112,7 @@ impl<'a> Records<'a> {
     fn part(&self, group: &Group, xi: &[f32], is_wanted: bool) -> Part {
         let library = self.reader.model.shape.library();
         let (r, n_sensor) = (library.latent, self.reader.network.n_output());
-        let n_step = group.forcing.u.len();
+        let n_step = group.forcing.n_step();
         let mut rolled = self.roll_out(group, xi);
         let valid = rolled.trajectory.valid;
         let is_bounded = valid == group.forcing.length;
@@ -146,7 +148,7 @@ impl<'a> Records<'a> {
         let library = self.reader.model.shape.library();
         let mut trajectory = Trajectory::default();
         rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
-        let n_step = group.forcing.u.len();
+        let n_step = group.forcing.n_step();
         let mut z = vec![0.0; group.n_lane * n_step * library.latent];
         from_lanes(&trajectory.z, library.latent, n_step, &mut z);
         let (mut tape, mut response) = (Tape::default(), Vec::new());

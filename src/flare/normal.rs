@@ -110,7 +110,7 @@ impl Linearised<'_> {
     fn add_to(&self, normal: &mut Normal, xi: &[f32]) {
         let library = self.records.reader.model.shape.library();
         let (forcing, trajectory) = (&self.group.forcing, &self.rolled.trajectory);
-        let n_step = forcing.u.len();
+        let n_step = forcing.n_step();
         let mut lanes: Vec<Sensitivity> = (0..self.group.n_lane).map(|_| Sensitivity::new(library)).collect();
         for begin in (1..n_step).step_by(STRETCH) {
             let samples: Vec<usize> = (begin..(begin + STRETCH).min(n_step)).collect();
@@ -133,7 +133,7 @@ impl Linearised<'_> {
     fn push_rows(&self, lane: usize, t: usize, sensitivity: &[f32], rows: &mut Vec<f32>) {
         let r = self.records.reader.model.shape.latent;
         let (n, n_sensor) = (sensitivity.len() / r, self.reading.len());
-        let at = lane * self.group.forcing.u.len() + t;
+        let at = lane * self.group.forcing.n_step() + t;
         let scale = (f64::from(self.group.weight[lane]) / self.records.count).sqrt() as f32;
         let slopes: Vec<f32> = self.reading.iter().flat_map(|g| &g[at * r..(at + 1) * r]).map(|g| scale * g).collect();
         let mut all = vec![0.0; n_sensor * n];

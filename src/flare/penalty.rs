@@ -97,23 +97,27 @@ fn second_moments(model: &SourceModel, case: &Case) -> (Vec<f64>, usize) {
     let library = model.shape.library();
     let (r, n) = (library.latent, library.n_term());
     let z = model.encode(&case.dense);
-    let u = &case.u[model.shape.window - 1..];
-    let mut rows = Vec::with_capacity(u.len() * n);
+    let drive = model.shape.drive(&case.u, &case.u_half, 1.0);
+    let (n_sample, width) = (z.len() / r, drive.width);
+    let driving = &drive.at[(model.shape.window - 1) * width..];
+    let mut rows = Vec::with_capacity(n_sample * n);
     let mut theta = vec![Lanes::ZERO; n];
-    for (z, u) in z.chunks(LANES * r).zip(u.chunks(LANES)) {
-        let states: Vec<Lanes> = (0..r).map(|i| gather(z.iter().skip(i).step_by(r))).collect();
-        library.terms(&states, &gather(u.iter()), &mut theta);
-        (0..u.len()).for_each(|lane| rows.extend(theta.iter().map(|t| t.0[lane])));
+    for (z, drive) in z.chunks(LANES * r).zip(driving.chunks(LANES * width)) {
+        library.terms(&side_by_side(z, r), &side_by_side(drive, width), &mut theta);
+        (0..z.len() / r).for_each(|lane| rows.extend(theta.iter().map(|t| t.0[lane])));
     }
     let mut sum = vec![0.0_f32; n * n];
-    let all = view(&rows, u.len(), n);
+    let all = view(&rows, n_sample, n);
     product(view_mut(&mut sum, n, n), Accum::Replace, all.transpose(), all);
-    (sum.into_iter().map(f64::from).collect(), u.len())
+    (sum.into_iter().map(f64::from).collect(), n_sample)
 }
 
-fn gather<'a>(values: impl Iterator<Item = &'a f32>) -> Lanes {
-    let mut lanes = Lanes::ZERO;
-    lanes.0.iter_mut().zip(values).for_each(|(to, from)| *to = *from);
+/// Rows of `n` values, one a lane.
+fn side_by_side(rows: &[f32], n: usize) -> Vec<Lanes> {
+    let mut lanes = vec![Lanes::ZERO; n];
+    for (lane, row) in rows.chunks_exact(n).enumerate() {
+        lanes.iter_mut().zip(row).for_each(|(to, from)| to.0[lane] = *from);
+    }
     lanes
 }
 
@@ -131,7 +135,13 @@ mod tests {
     }
 
     fn problem() -> (SourceModel, Vec<Case>) {
-        let settings = PretrainSettings { latent: 3, channels: 4, encoder_hidden: vec![5], ..Default::default() };
+        let settings = PretrainSettings {
+            latent: 3,
+            channels: 4,
+            encoder_hidden: vec![5],
+            memories: Default::default(),
+            ..Default::default()
+        };
         let shape = Shape::new(&settings);
         let parameters = random(shape.decoder_range().end, 0.5, "parameters");
         let mask = vec![true; shape.library().n_coefficient()];

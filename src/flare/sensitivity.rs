@@ -46,8 +46,6 @@ impl Kernel for Linearise<'_> {
     fn run<const FMA: bool>(self) -> StepSlope {
         let (r, n_term, t) = (self.library.latent, self.library.n_term(), self.t);
         let stages = &self.trajectory.stages[(t - 1) * 4 * r..t * 4 * r];
-        let inputs =
-            [&self.forcing.u[t - 1], &self.forcing.u_half[t - 1], &self.forcing.u_half[t - 1], &self.forcing.u[t]];
         let mut slope =
             StepSlope { a: identity(r, 1.0), m: vec![Lanes::ZERO; 4 * r * r], theta: vec![Lanes::ZERO; 4 * n_term] };
         let mut jacobian = vec![Lanes::ZERO; r * r];
@@ -58,12 +56,13 @@ impl Kernel for Linearise<'_> {
             [(1.0 / 6.0, 0.5), (1.0 / 3.0, 0.5), (1.0 / 3.0, 1.0), (1.0 / 6.0, 0.0)].into_iter().enumerate().rev()
         {
             let z = &stages[s * r..(s + 1) * r];
-            self.library.terms(z, inputs[s], &mut slope.theta[s * n_term..(s + 1) * n_term]);
+            let drive = self.forcing.stage(t, s);
+            self.library.terms(z, drive, &mut slope.theta[s * n_term..(s + 1) * n_term]);
             jacobian.fill(Lanes::ZERO);
             for k in 0..r {
                 unit[k] = Lanes::splat(1.0);
                 let row = &mut jacobian[k * r..(k + 1) * r];
-                self.library.pull_back::<FMA>(z, self.xi_t, &unit, &mut work, row);
+                self.library.pull_back::<FMA>(z, drive, self.xi_t, &unit, &mut work, row);
                 unit[k] = Lanes::ZERO;
             }
             let m = &mut slope.m[s * r * r..(s + 1) * r * r];

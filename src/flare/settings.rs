@@ -1,5 +1,6 @@
 //! The three training sections of a site manifest, with their defaults and range checks.
 
+use super::memory::Memories;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -23,6 +24,8 @@ pub struct PretrainSettings {
     pub encoder_hidden: Vec<usize>,
     /// Widths of the decoder's hidden layers.
     pub decoder_hidden: Vec<usize>,
+    /// Memories of the shaking that the latent equations may multiply their linear terms with; none as published.
+    pub memories: Memories,
     /// Passes over the training sequences.
     pub epochs: usize,
     /// Sequences per step of the optimiser.
@@ -68,6 +71,7 @@ impl Default for PretrainSettings {
             final_segments: 2,
             encoder_hidden: vec![128, 128],
             decoder_hidden: vec![128, 128],
+            memories: Memories { fading_s: vec![1.0], lasting_s: vec![5.0] },
             epochs: 400,
             batch: 16,
             learning_rate: 1e-3,
@@ -101,6 +105,7 @@ impl PretrainSettings {
             final_rate_share: 1.0,
             amplitude_weighting: 0.0,
             linear_start: false,
+            memories: Memories::default(),
             mirror: false,
             jitter: false,
             ..self.clone()
@@ -118,6 +123,11 @@ impl PretrainSettings {
         list.count("final_segments", self.final_segments, 1, 1000);
         list.widths("encoder_hidden", &self.encoder_hidden);
         list.widths("decoder_hidden", &self.decoder_hidden);
+        for (key, times) in
+            [("memories.fading_s", &self.memories.fading_s), ("memories.lasting_s", &self.memories.lasting_s)]
+        {
+            times.iter().for_each(|t| list.real(key, *t, "s", 0.01, 1e4));
+        }
         list.count("epochs", self.epochs, 1, 1_000_000);
         list.count("batch", self.batch, 1, 100_000);
         list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
