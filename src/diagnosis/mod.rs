@@ -9,6 +9,7 @@
 
 mod anchor;
 mod cost;
+mod comparison;
 mod curves;
 mod diagnose;
 mod fast_column;
@@ -16,6 +17,8 @@ mod fit;
 mod interference;
 mod null_twins;
 mod operators;
+mod floor;
+mod noise;
 mod outcome;
 mod power;
 mod problem;
@@ -29,10 +32,13 @@ mod spectra;
 mod unknowns;
 mod verdict;
 
+pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use curves::{Curve, Curves};
 pub use diagnose::diagnose;
 pub use fast_column::{FastColumn, Grid, March, element_count};
 pub use null_twins::{drawn, thresholds};
+pub use floor::noise_deviation_m_s2;
+pub use noise::noise;
 pub use outcome::{
     Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
     Verdict,

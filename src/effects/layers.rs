@@ -73,6 +73,7 @@ pub(super) mod tests {
             vertical: Vertical::Free,
             rayleigh: Rayleigh::default(),
             elements: 10,
+            features: Default::default(),
         }
     }
 

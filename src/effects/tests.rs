@@ -20,6 +20,7 @@ fn array() -> Array {
             vertical: Vertical::Free,
             rayleigh: Rayleigh { alpha_1_s: 0.1, beta_s: 1e-4 },
             elements: 40,
+            features: Default::default(),
         },
         input: "base".into(),
         outputs: vec!["mid".into(), "top".into()],
@@ -70,7 +71,10 @@ fn every_effect_does_something_where_it_is_drawn_and_the_column_still_runs() {
     let (array, motions) = (array(), motions());
     let mut random = crate::numerics::random::stream(3, "catalogue test");
     let mut seen = BTreeSet::new();
-    for instance in instances(&array) {
+    // A container is only looked for around a model that is restrained vertically.
+    let mut in_container = array.clone();
+    in_container.profile.vertical = Vertical::Restrained;
+    for instance in instances(&array).into_iter().chain(instances(&in_container)) {
         let table = instance.draw(&mut random);
         let mut profile = array.profile.clone();
         let situation = Situation { component: Some(0), order: Some(2.0) };
