@@ -69,6 +69,9 @@ fn twin(kind: &str, seed: u64, is_fast: bool) -> (String, Diagnosis, f64) {
     }
     let empty = problem(&array, &[], Truth { events: 4, ..truth });
     let mut all = drawn(&nuisances(&empty).unwrap(), seed);
+    if std::env::var("TWIN_EXACT").is_ok() {
+        all.clear();
+    }
     all.extend(tables);
     let problem = problem(&array, &all, truth);
     let found = diagnose(&problem, &Replays(&problem), &settings(), &thresholds(), &Loud).unwrap();
@@ -83,7 +86,7 @@ fn matrix() {
     let (a, b) = seeds.split_once('-').unwrap();
     for kind in kinds.split(',') {
         for seed in a.parse::<u64>().unwrap()..=b.parse().unwrap() {
-            let (what, found, seconds) = twin(kind, seed, false);
+            let (what, found, seconds) = twin(kind, seed, std::env::var("TWIN_SAME").is_ok());
             println!("#{seed} {what}\n   {seconds:.0}s {}", line(&found));
             for c in found.candidates.iter().filter(|c| c.round == 1).take(4) {
                 println!(
