@@ -6,7 +6,7 @@ use kuva::plot::scatter::MarkerShape;
 
 use super::chart::{self, Axis, Curve, Dots, Frame, Marks};
 use super::closing::{interval, words};
-use super::closing_content::{Bound, Closing, Interval, Remainder};
+use super::closing_content::{Bound, Closing, Interval, Remainder, SensorEvidence};
 use super::figure::{Key, figure, legend};
 use super::number;
 
@@ -16,6 +16,7 @@ pub(super) fn is_any(closing: &Closing) -> bool {
         || !closing.out_of_tolerance.is_empty()
         || closing.remainder.is_some()
         || closing.input_coherent_share.is_some()
+        || !closing.evidence.is_empty()
 }
 
 /// The subsection.
@@ -31,6 +32,7 @@ pub(super) fn rest(closing: &Closing) -> Markup {
         }
         @if !closing.out_of_tolerance.is_empty() { (tolerance(&closing.out_of_tolerance)) }
         @if !closing.bounds.is_empty() { (bounds(&closing.bounds)) }
+        @if !closing.evidence.is_empty() { (evidence(&closing.evidence)) }
         @if let Some(remainder) = &closing.remainder { (structure(remainder)) }
     }
 }
@@ -40,6 +42,31 @@ fn tolerance(alarms: &[(String, f64, Interval)]) -> Markup {
         p { "Declared values that the records put outside their tolerance:" }
         ul { @for (what, deviations, estimate) in alarms {
             li { (what) ": " (interval(estimate)) ", " (number::fixed(*deviations, 1)) " standard deviations from the declared value" }
+        } }
+    }
+}
+
+fn evidence(sensors: &[SensorEvidence]) -> Markup {
+    html! {
+        div.scroll { table {
+            caption {
+                "The residuals by themselves. Repeatable: share of the amplitude error that is the same in all events; below 30 % "
+                "hardly any correction of the site helps. Dependence: largest cross-correlation with the input over the bound for "
+                "independent ones; above 1 the residual still follows the input. Factor: what a smooth complex factor "
+                b { "without physical meaning" } " would leave of the residual power on validation events."
+            }
+            thead { tr { th { "Sensor" } th.n { "Repeatable" } th.n { "Dependence" } th.n { "Factor" } } }
+            tbody { @for s in sensors {
+                tr {
+                    td { (s.sensor) }
+                    td.n { (number::optional(s.repeatable_share.map(|v| 100.0 * v), 0)) " %" }
+                    td.n { (number::optional(s.dependence, 2)) }
+                    td.n { @match s.generic {
+                        Some([before, after]) => { (number::fixed(100.0 * before, 1)) " → " (number::fixed(100.0 * after, 1)) " %" }
+                        None => "no gain",
+                    } }
+                }
+            } }
         } }
     }
 }

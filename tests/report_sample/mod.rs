@@ -271,6 +271,15 @@ fn closing() -> Closing {
                 .collect(),
             events: EVENTS.iter().map(|(name, _, pga)| ((*name).to_string(), 0.1 * pga, 1.1)).collect(),
         }),
+        evidence: SENSORS
+            .iter()
+            .map(|(name, depth)| SensorEvidence {
+                sensor: (*name).into(),
+                repeatable_share: Some(0.6),
+                dependence: Some(1.3),
+                generic: (*depth == 0.0).then_some([0.08, 0.05]),
+            })
+            .collect(),
         notes: vec!["Two of twelve records have a quiet stretch before the event.".into()],
     }
 }
