@@ -180,6 +180,8 @@ mod tests {
             channels: 4,
             encoder_hidden: vec![5],
             decoder_hidden: vec![6, 5],
+            memories: Default::default(),
+            energy_levels: 0,
             ..Default::default()
         };
         let shape = Shape::new(&settings);

@@ -27,6 +27,9 @@ pub struct Shape {
     /// Memories of the shaking in the latent equations.
     #[serde(default)]
     pub memories: Memories,
+    /// Levels of energy in the latent equations.
+    #[serde(default)]
+    pub energy_levels: usize,
 }
 
 impl Shape {
@@ -41,12 +44,13 @@ impl Shape {
             decoder_hidden: settings.decoder_hidden.clone(),
             has_linear_path: settings.linear_start,
             memories: settings.memories.clone(),
+            energy_levels: settings.energy_levels,
         }
     }
 
     /// The candidate library.
     pub fn library(&self) -> Library {
-        Library { latent: self.latent, memories: self.memories.count() }
+        Library { latent: self.latent, memories: self.memories.count(), energies: self.energy_levels }
     }
 
     /// What drives the latent equations through a motion `u[n_step]`, `u_half[n_step − 1]`, multiplied by `factor`.
