@@ -139,6 +139,32 @@ fn validation_motions_twice_as_strong_and_ten_times_as_long_stay_bounded() {
 }
 
 #[test]
+fn soft_limits_keep_every_finite_motion_bounded_and_leave_trained_ones_alone() {
+    let t = trained();
+    let mut limited = t.model.clone();
+    limited.limit_softly(&t.cases[..N_TRAIN], 1.5);
+    for case in &t.cases[..N_TRAIN] {
+        assert_eq!(limited.roll_out(case).expect("bounded"), t.model.roll_out(case).expect("bounded"));
+    }
+    // equations that blow up as soon as they are left to themselves
+    let mut wild = limited.clone();
+    wild.parameters[..limited.mask.len()].iter_mut().for_each(|c| *c *= 25.0);
+    for model in [&limited, &wild] {
+        for case in &t.cases[N_TRAIN..] {
+            assert!(model.guard_doubled(case).is_finite && model.guard_tenfold(case).is_finite);
+            for factor in [1e2_f32, 1e9, 1e30] {
+                let huge = |x: &[f32]| x.iter().map(|v| v * factor).collect::<Vec<f32>>();
+                let case =
+                    Case { u: huge(&case.u), u_half: huge(&case.u_half), dense: huge(&case.dense), ..case.clone() };
+                assert!(model.roll_out(&case).expect("bounded").iter().all(|v| v.is_finite()), "factor {factor}");
+            }
+        }
+    }
+    let wild = SourceModel { shape: t.model.shape.clone(), ..wild };
+    assert!(t.cases[N_TRAIN..].iter().all(|case| wild.roll_out(case).is_err()), "without limits it diverges");
+}
+
+#[test]
 fn training_taken_up_from_its_checkpoint_ends_in_the_same_bytes() {
     let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
     let (train, validation) = cases.split_at(4);

@@ -91,10 +91,28 @@ pub struct Pretrain {
     pub field: Option<FieldPair>,
     /// Depthwise NRMSE of each validation case, %.
     pub cases: Vec<Sample>,
+    /// Rollouts beyond the training.
+    pub guards: Vec<Guard>,
     /// Range of case medians in the published application, %, drawn as a band.
     pub published_range_percent: Option<(f64, f64)>,
     /// Loss terms over training.
     pub losses: Option<Losses>,
+}
+
+/// Rollouts of the validation cases beyond the training, of one kind.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Guard {
+    /// `"doubled"` (motion twice as strong) or `"tenfold"` (motion ten times in a row).
+    pub what: String,
+    /// Cases that stay finite.
+    pub finite: usize,
+    /// All cases.
+    pub of: usize,
+    /// Size of the response against the plain rollout, increasing: peaks (doubled), last repetition to first (tenfold).
+    pub ratios: Vec<f64>,
+    /// Largest share of the samples at which a state is limited.
+    pub limited_share: f64,
 }
 
 /// An acceleration field of the finite-element model and its prediction, on one grid.

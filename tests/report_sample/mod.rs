@@ -237,6 +237,13 @@ fn build() -> Content {
         pretrain: Some(Pretrain {
             field: Some(field()),
             cases: (81..=100).map(|i| spread(format!("{i:03}"), 12.0 + f64::from(i % 7), 100, i as u64)).collect(),
+            guards: vec![Guard {
+                what: "doubled".into(),
+                finite: 20,
+                of: 20,
+                ratios: vec![1.7, 1.9, 2.1],
+                limited_share: 0.02,
+            }],
             published_range_percent: Some((10.0, 26.0)),
             losses: Some(losses(&["reconstruction", "latent", "rollout", "derivative", "sparsity"], 900, 21)),
         }),
