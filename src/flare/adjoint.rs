@@ -138,7 +138,7 @@ mod tests {
     #[test]
     fn gradients_of_the_rollout_match_finite_differences_in_double_precision() {
         let (r, n_step, lane) = (3, 12, 7);
-        let library = Library { latent: r, memories: 1 };
+        let library = Library { latent: r, memories: 1, energies: 0 };
         let mut random = stream(3, "adjoint test");
         let mut draw = |n: usize, scale: f64| -> Vec<f64> {
             (0..n).map(|_| f64::from(((random.random::<f64>() - 0.5) * 2.0 * scale) as f32)).collect()

@@ -22,7 +22,6 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use std::path::Path;
 
-
 /// Calibrated latent equations of one component.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Calibration {
@@ -200,6 +199,8 @@ mod tests {
             channels: 4,
             encoder_hidden: vec![5],
             decoder_hidden: vec![6, 5],
+            memories: Default::default(),
+            energy_levels: 0,
             ..Default::default()
         };
         let shape = Shape::new(&settings);

@@ -96,4 +96,3 @@ pub fn descend(
     }
     Ok((descent.best, descent.history))
 }
-

@@ -185,7 +185,7 @@ mod tests {
 
     /// A damped oscillator `z1' = z2, z2' = −ω² z1 − 2ζω z2 + u` in units of `step`.
     fn oscillator(step: f64) -> Vec<f32> {
-        let library = Library { latent: 2, memories: 0 };
+        let library = Library { latent: 2, memories: 0, energies: 0 };
         let mut xi = vec![0.0; library.n_coefficient()];
         let (omega, zeta) = (3.0, 0.05);
         xi[2 * 2] = step as f32;
@@ -203,7 +203,14 @@ mod tests {
         forcing.reset(n_step, 1);
         forcing.set(5, &Drive { width: 1, at: series, half }, 0..n_step, 1.0);
         let mut to = Trajectory::default();
-        rollout(Library { latent: 2, memories: 0 }, &oscillator(step), &[Lanes::ZERO; 2], &forcing, 1e3, &mut to);
+        rollout(
+            Library { latent: 2, memories: 0, energies: 0 },
+            &oscillator(step),
+            &[Lanes::ZERO; 2],
+            &forcing,
+            1e3,
+            &mut to,
+        );
         assert_eq!(to.valid[5], n_step);
         f64::from(to.z[(n_step - 1) * 2].0[5])
     }
@@ -219,7 +226,7 @@ mod tests {
 
     #[test]
     fn a_diverging_lane_ends_and_leaves_its_neighbours_alone() {
-        let library = Library { latent: 1, memories: 0 };
+        let library = Library { latent: 1, memories: 0, energies: 0 };
         let xi = [0.0, 0.0, 1.0, 0.0]; // z' = z², finite-time blow-up from a positive start
         let mut forcing = Forcing::default();
         forcing.reset(50, 1);

@@ -32,6 +32,9 @@ pub struct Shape {
     /// Where the soft limit of each state begins; empty for none.
     #[serde(default)]
     pub soft_limits: Vec<f32>,
+    /// Levels of energy in the latent equations.
+    #[serde(default)]
+    pub energy_levels: usize,
 }
 
 impl Shape {
@@ -47,12 +50,13 @@ impl Shape {
             has_linear_path: settings.linear_start,
             memories: settings.memories.clone(),
             soft_limits: Vec::new(),
+            energy_levels: settings.energy_levels,
         }
     }
 
     /// The candidate library.
     pub fn library(&self) -> Library {
-        Library { latent: self.latent, memories: self.memories.count() }
+        Library { latent: self.latent, memories: self.memories.count(), energies: self.energy_levels }
     }
 
     /// The limits of the latent states of a rollout.

@@ -26,6 +26,8 @@ pub struct PretrainSettings {
     pub decoder_hidden: Vec<usize>,
     /// Memories of the shaking that the latent equations may multiply their linear terms with; none as published.
     pub memories: Memories,
+    /// Levels of latent energy that they may multiply the states with (0…3); none as published.
+    pub energy_levels: usize,
     /// Passes over the training sequences.
     pub epochs: usize,
     /// Sequences per step of the optimiser.
@@ -75,6 +77,7 @@ impl Default for PretrainSettings {
             encoder_hidden: vec![128, 128],
             decoder_hidden: vec![128, 128],
             memories: Memories { fading_s: vec![1.0], lasting_s: vec![5.0] },
+            energy_levels: 2,
             epochs: 400,
             batch: 16,
             learning_rate: 1e-3,
@@ -110,6 +113,7 @@ impl PretrainSettings {
             amplitude_weighting: 0.0,
             linear_start: false,
             memories: Memories::default(),
+            energy_levels: 0,
             mirror: false,
             jitter: false,
             limit_factor: 0.0,
@@ -128,6 +132,7 @@ impl PretrainSettings {
         list.count("final_segments", self.final_segments, 1, 1000);
         list.widths("encoder_hidden", &self.encoder_hidden);
         list.widths("decoder_hidden", &self.decoder_hidden);
+        list.count("energy_levels", self.energy_levels, 0, 3);
         for (key, times) in
             [("memories.fading_s", &self.memories.fading_s), ("memories.lasting_s", &self.memories.lasting_s)]
         {
