@@ -79,6 +79,7 @@ fn a_whole_run_is_cached_explained_and_predicts() {
     }
     assert!(plan.contains("`calibrate.penalty`: 1.0 → 0.5"), "{plan}");
 
+    shows_the_model(dir.path());
     predicts(dir.path());
 
     let alone = tempfile::tempdir().expect("a folder");
@@ -97,6 +98,26 @@ fn contents(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         .map(|path| (relative(&path), fs::read(&path).expect("a file")))
         .filter(|(path, _)| path.extension().is_none_or(|e| e != "lock"))
         .collect()
+}
+
+fn shows_the_model(run_dir: &Path) {
+    let run_dir = run_dir.to_str().expect("UTF-8");
+    let show =
+        |more: &[&str]| said(&[&["show", "model", "configs/smoke.toml", "--run-dir", run_dir], SMALL, more].concat());
+    let (status, all, stderr) = show(&[]);
+    assert_eq!(status, 0, "{stderr}");
+    let titles: Vec<&str> = all.lines().filter(|l| l.starts_with('#')).collect();
+    assert_eq!(titles.len(), 3, "{all}");
+    for (title, start) in titles.iter().zip(["# source model: ", "# component EW: ", "# component NS: "]) {
+        assert!(title.starts_with(start), "{title}");
+    }
+    assert_eq!(all.lines().filter(|l| l.starts_with("dz6/dt = ")).count(), 3);
+    let (status, one, _) = show(&["--component", "NS"]);
+    assert_eq!((status, one.lines().count()), (0, 7));
+    assert!(all.ends_with(&one), "the same equations by themselves");
+    let (status, _, stderr) = show(&["--component", "UD"]);
+    assert_eq!(status, 2);
+    assert!(stderr.contains("`UD`"), "{stderr}");
 }
 
 fn predicts(run_dir: &Path) {
