@@ -69,15 +69,27 @@ pub(super) struct Group {
 impl<'a> Records<'a> {
     /// Encodes the first windows of `events` and weights them by amplitude.
     pub fn new(encoder: &SparseEncoder, reader: &'a Reader<'a>, events: &[Event], power: f64, bound: f32) -> Self {
-        let t0 = encoder.window - 1;
-        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
         let starting: Vec<Vec<f32>> =
             events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
+        Self::started(&starting, encoder.window - 1, reader, events, power, bound)
+    }
+
+    /// Starts `events` from given states at sample `t0`.
+    pub fn started(
+        starting: &[Vec<f32>],
+        t0: usize,
+        reader: &'a Reader<'a>,
+        events: &[Event],
+        power: f64,
+        bound: f32,
+    ) -> Self {
+        let n_sensor = reader.network.n_output();
+        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
         let drives: Vec<Drive> = events.iter().map(|e| reader.model.shape.drive(&e.u, &e.u_half, 1.0)).collect();
         let starts: Vec<Start<'_>> =
-            drives.iter().zip(&starting).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
-        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * encoder.n_sensor..].to_vec()).collect();
-        let count: usize = targets.iter().map(|t| t.len() - encoder.n_sensor).sum();
+            drives.iter().zip(starting).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
+        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * n_sensor..].to_vec()).collect();
+        let count: usize = targets.iter().map(|t| t.len() - n_sensor).sum();
         let groups = starts
             .chunks(LANES)
             .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))

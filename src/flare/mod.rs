@@ -52,6 +52,7 @@ mod objective;
 mod observation;
 mod penalty;
 mod poles;
+mod polish;
 mod pretrain;
 mod residuals;
 mod resume;

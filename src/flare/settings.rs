@@ -52,6 +52,10 @@ pub struct PretrainSettings {
     pub mirror: bool,
     /// Sequences begin at places drawn anew each epoch.
     pub jitter: bool,
+    /// Gauss–Newton steps on the coefficients over whole motions, taken each time; none as published.
+    pub polish_steps: usize,
+    /// Epochs between two times, counted back from the last epoch to half of them.
+    pub polish_every: usize,
     /// Epochs between validations by whole-motion rollout.
     pub validate_every: usize,
     /// Validations between checkpoints of the training state.
@@ -90,6 +94,8 @@ impl Default for PretrainSettings {
             linear_start: true,
             mirror: true,
             jitter: true,
+            polish_steps: 8,
+            polish_every: 50,
             validate_every: 5,
             checkpoint_every: 5,
             state_bound: 1e3,
@@ -117,6 +123,7 @@ impl PretrainSettings {
             mirror: false,
             jitter: false,
             limit_factor: 0.0,
+            polish_steps: 0,
             ..self.clone()
         }
     }
