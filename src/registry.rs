@@ -18,6 +18,18 @@ pub struct Entry<T: ?Sized + 'static> {
     pub schema: fn() -> schemars::Schema,
 }
 
+/// What has a name by which it is looked up.
+pub trait Named {
+    /// The name.
+    fn name(&self) -> &'static str;
+}
+
+impl<T: ?Sized> Named for Entry<T> {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+}
+
 /// Deserialises a table into typed parameters (use `deny_unknown_fields` on `P`).
 ///
 /// # Errors
@@ -30,9 +42,9 @@ pub fn params<P: DeserializeOwned>(table: toml::Table) -> Result<P> {
 ///
 /// # Errors
 /// When there is no such entry; the hint lists the known names and the nearest one.
-pub fn find<'a, T: ?Sized>(what: &str, entries: &'a [Entry<T>], name: &str) -> Result<&'a Entry<T>> {
-    entries.iter().find(|e| e.name == name).ok_or_else(|| {
-        let names: Vec<&str> = entries.iter().map(|e| e.name).collect();
+pub fn find<'a, E: Named>(what: &str, entries: &'a [E], name: &str) -> Result<&'a E> {
+    entries.iter().find(|e| e.name() == name).ok_or_else(|| {
+        let names: Vec<&str> = entries.iter().map(E::name).collect();
         Error::new(format!("unknown {what} `{name}`")).hint(known(&names, name)).usage()
     })
 }

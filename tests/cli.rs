@@ -20,7 +20,16 @@ fn said(arguments: &[&str]) -> (i32, String, String) {
 }
 
 /// A small version of the smoke run: few motions and epochs.
-const SMALL: &[&str] = &["--set", "pretrain.epochs=20", "--set", "distill.epochs=5", "--set", "calibrate.epochs=10"];
+const SMALL: &[&str] = &[
+    "--set",
+    "pretrain.epochs=20",
+    "--set",
+    "distill.epochs=5",
+    "--set",
+    "calibrate.epochs=10",
+    "--set",
+    "diagnose.null_twins=20",
+];
 
 fn run_small(run_dir: &Path, more: &[&str]) -> (i32, String, String) {
     let run_dir = run_dir.to_str().expect("a path in UTF-8");
@@ -74,7 +83,7 @@ fn a_whole_run_is_cached_explained_and_predicts() {
     assert_eq!(status, 0);
     for line in plan.lines() {
         let is_cached = line.contains("cached");
-        let follows = ["calibrate", "evaluate", "report"].iter().any(|s| line.starts_with(s));
+        let follows = ["calibrate", "evaluate", "compare", "report"].iter().any(|s| line.starts_with(s));
         assert_eq!(is_cached, !follows, "{line}");
     }
     assert!(plan.contains("`calibrate.penalty`: 1.0 → 0.5"), "{plan}");
@@ -235,6 +244,25 @@ fn lists_name_what_a_manifest_can_name() {
     assert_eq!(status, 0);
     let schema: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
     assert!(schema["definitions-by-kind"]["law"]["sanisand"].is_object());
+}
+
+#[test]
+fn power_tells_before_any_data_what_could_be_seen() {
+    let (status, stdout, stderr) = said(&["power", "configs/smoke.toml", "--json"]);
+    assert_eq!(status, 0, "{stderr}");
+    let power: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    let of = |kind: &str, target: &str| {
+        let effects = power["effects"].as_array().expect("a list").iter();
+        effects.clone().find(|e| e["kind"] == kind && e["target"] == target).expect("an effect").clone()
+    };
+    assert_eq!(of("clock_offset", "surface")["is_visible"], true, "30 ms at the surface show");
+    assert!(of("clock_offset", "surface")["detectable"].as_f64().is_some_and(|s| s > 1e-4 && s < 0.05));
+    let (_, noisy, _) = said(&["power", "configs/smoke.toml", "--json", "--noise", "0.3"]);
+    let noisy: serde_json::Value = serde_json::from_str(&noisy).expect("JSON");
+    let best = |p: &serde_json::Value| p["effects"][0]["expected_score"].as_f64().expect("a number");
+    assert!(best(&noisy) < 0.2 * best(&power), "noise hides");
+    let (status, table, _) = said(&["power", "configs/smoke.toml"]);
+    assert!(status == 0 && table.lines().any(|l| l.starts_with("sensor_gain")), "{table}");
 }
 
 #[test]

@@ -30,11 +30,11 @@ pub fn twin(arguments: &TwinArguments) -> Result<()> {
     let sections = manifest.site.column();
     let recorder = twin::recorder(&sections, &manifest.site.tolerances, &truth)?;
     std::fs::create_dir_all(&arguments.output).context(|| format!("cannot make `{}`", arguments.output.display()))?;
+    let components = manifest.site.records.as_ref().map_or_else(|| truth.components(), |r| r.components.clone());
     let written: Vec<Vec<PathBuf>> = truth
         .event
         .par_iter()
         .map(|event| {
-            let components: Vec<String> = event.pga_g.keys().cloned().collect();
             let unit = AccelerationUnit::MetrePerSecondSquared;
             twin::record_event(&recorder, &event.name, &components)?
                 .iter()

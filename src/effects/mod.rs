@@ -1,23 +1,175 @@
 //! Effects a declared site model may lack: one effect a file, registered in [`EFFECTS`].
 //!
-//! An effect edits the set-up of the column. One definition serves twin truths and corrected manifests; an effect of
-//! zero strength leaves the column bit-identical.
+//! A soil or boundary effect edits the set-up of the column; a sensor effect acts between the true motion and the
+//! record. One definition serves twin truths, diagnosis and corrected manifests; an effect of zero strength leaves
+//! everything bit-identical.
 
+mod catalogue;
+mod layers;
+mod observation;
+mod operator;
+mod situation;
+
+mod ageing;
+mod baseline_tilt;
+mod clock_offset;
+mod compliant_base;
+mod container_boundary;
+mod directional_anisotropy;
 mod frequency_dependent_damping;
+mod instrument_high_pass;
+mod instrument_low_pass;
+mod interface_slip;
 mod layer_velocity;
+mod machine_hum;
+mod nonlinearity;
+mod pore_pressure;
+mod rate_dependence;
+mod sensor_depth;
+mod sensor_gain;
+mod sensor_orientation;
+mod sensor_polarity;
+mod small_strain_damping;
+mod stiff_crust;
+mod structure_interaction;
+mod surface_wave;
+mod swapped_channels;
+mod thin_seam;
+mod water_table;
+
+pub use catalogue::{Array, Catalogue, Class, Free, Instance, Parameter, Scale, place};
+pub use observation::{Channels, Direction, Recording, depth_m, observe, operator};
+pub use operator::{Operator, Place};
+pub use situation::Situation;
 
 use crate::column::Profile;
 use crate::error::{Error, Result};
-use crate::registry::{self, Entry};
+use crate::registry::{self, Named};
+use realfft::num_complex::Complex;
 
-/// Something that acts on the column.
+/// Something that acts on the column or on what its sensors record; each effect overrides what it does and no more.
 pub trait Effect: Send + Sync {
+    /// Names of the sensors it sits at.
+    fn sensors(&self) -> Vec<&str> {
+        Vec::new()
+    }
+
+    /// Name of the component it is restricted to.
+    fn component(&self) -> Option<&str> {
+        None
+    }
+
     /// Edits the set-up of the column.
-    fn apply(&self, profile: &mut Profile);
+    fn edit(&self, _profile: &mut Profile, _situation: &Situation) {}
+
+    /// The depth at which `sensor` really sits when it is declared at `depth_m`.
+    fn depth_m(&self, _sensor: &str, depth_m: f64) -> f64 {
+        depth_m
+    }
+
+    /// What the sensor makes of the motion; `None` where it is untouched.
+    fn response(&self, _place: &Place<'_>, _frequency_hz: f64) -> Option<Operator> {
+        None
+    }
+
+    /// Two sensors whose channels are exchanged.
+    fn exchange(&self) -> Option<(&str, &str)> {
+        None
+    }
+
+    /// A further arrival at depth `depth_m`, as a factor on the spectrum of the true base motion.
+    fn arrival(&self, _depth_m: f64, _frequency_hz: f64) -> Option<Complex<f64>> {
+        None
+    }
+
+    /// What the instrument adds to one channel, beside and after its response.
+    fn interference(&self, _channel: &Channel<'_>) -> Option<Vec<f64>> {
+        None
+    }
+
+    /// The same, estimated from the record that carries it.
+    fn estimated_interference(&self, _channel: &Channel<'_>) -> Option<Vec<f64>> {
+        None
+    }
+}
+
+/// One history of one sensor.
+#[derive(Debug, Clone, Copy)]
+pub struct Channel<'a> {
+    /// Name of the sensor.
+    pub sensor: &'a str,
+    /// Name of the component.
+    pub component: &'a str,
+    /// Name of the event.
+    pub event: &'a str,
+    /// Time step, s.
+    pub dt_s: f64,
+    /// Acceleration, m/s².
+    pub acceleration_m_s2: &'a [f64],
+}
+
+/// A registered effect.
+pub struct Entry {
+    /// Name as typed in `[[effects]]` and printed by `flare-pipe list effects`.
+    pub name: &'static str,
+    /// One line for people.
+    pub about: &'static str,
+    /// Builds the effect from its table; unknown keys are refused.
+    pub build: fn(toml::Table) -> Result<Box<dyn Effect>>,
+    /// JSON Schema of that table.
+    pub schema: fn() -> schemars::Schema,
+    /// What is known about it before any data.
+    pub catalogue: Catalogue,
+}
+
+impl Named for Entry {
+    fn name(&self) -> &'static str {
+        self.name
+    }
 }
 
 /// All effects, by their name in `[[effects]]`.
-pub const EFFECTS: &[Entry<dyn Effect>] = &[layer_velocity::ENTRY, frequency_dependent_damping::ENTRY];
+pub const EFFECTS: &[Entry] = &[
+    layer_velocity::ENTRY,
+    thin_seam::ENTRY,
+    small_strain_damping::ENTRY,
+    frequency_dependent_damping::ENTRY,
+    nonlinearity::ENTRY,
+    pore_pressure::ENTRY,
+    interface_slip::ENTRY,
+    compliant_base::ENTRY,
+    structure_interaction::ENTRY,
+    directional_anisotropy::ENTRY,
+    sensor_gain::ENTRY,
+    sensor_polarity::ENTRY,
+    clock_offset::ENTRY,
+    sensor_orientation::ENTRY,
+    sensor_depth::ENTRY,
+    swapped_channels::ENTRY,
+    instrument_high_pass::ENTRY,
+    instrument_low_pass::ENTRY,
+    baseline_tilt::ENTRY,
+    machine_hum::ENTRY,
+    surface_wave::ENTRY,
+    ageing::ENTRY,
+    water_table::ENTRY,
+    stiff_crust::ENTRY,
+    container_boundary::ENTRY,
+    rate_dependence::ENTRY,
+];
+
+/// The registered effect `kind`.
+///
+/// # Errors
+/// When there is none of this name.
+pub fn find(kind: &str) -> Result<&'static Entry> {
+    registry::find("effect", EFFECTS, kind)
+}
+
+/// Every place of every effect in `array`.
+pub fn instances(array: &Array) -> Vec<Instance> {
+    EFFECTS.iter().flat_map(|e| (e.catalogue.instances)(array)).collect()
+}
 
 /// Builds one `[[effects]]` table.
 ///
@@ -26,7 +178,7 @@ pub const EFFECTS: &[Entry<dyn Effect>] = &[layer_velocity::ENTRY, frequency_dep
 pub fn build(table: &toml::Table) -> Result<Box<dyn Effect>> {
     let mut table = table.clone();
     match table.remove("kind") {
-        Some(toml::Value::String(kind)) => (registry::find("effect", EFFECTS, &kind)?.build)(table),
+        Some(toml::Value::String(kind)) => (find(&kind)?.build)(table),
         _ => {
             let names: Vec<&str> = EFFECTS.iter().map(|e| e.name).collect();
             Err(Error::new("an effect needs a `kind`").hint(registry::known(&names, "")).usage())
@@ -42,13 +194,66 @@ pub fn build_all(tables: &[toml::Table]) -> Result<Vec<Box<dyn Effect>>> {
     tables.iter().enumerate().map(|(i, table)| build(table).map_err(|e| e.at(format!("effect {}", i + 1)))).collect()
 }
 
-/// Builds and applies `tables` in order.
+/// Builds `tables` and edits `profile` by them, in order.
 ///
 /// # Errors
 /// As [`build`].
-pub fn apply(tables: &[toml::Table], profile: &mut Profile) -> Result<()> {
+pub fn apply(tables: &[toml::Table], profile: &mut Profile, situation: &Situation) -> Result<()> {
     for effect in build_all(tables)? {
-        effect.apply(profile);
+        effect.edit(profile, situation);
     }
     Ok(())
 }
+
+/// Checks that `tables` name sensors and components of `array` only.
+///
+/// # Errors
+/// As [`build`], and when a name is unknown.
+pub fn check_names(tables: &[toml::Table], array: &Array) -> Result<()> {
+    let sensors: Vec<&str> = array.sensors().collect();
+    let components: Vec<&str> = array.components.iter().map(String::as_str).collect();
+    for (i, effect) in build_all(tables)?.iter().enumerate() {
+        let known = |what: &str, names: &[&str], name: &str| {
+            if names.contains(&name) {
+                return Ok(());
+            }
+            let error = Error::new(format!("there is no {what} `{name}`")).hint(registry::known(names, name));
+            Err(error.usage().at(format!("effect {}", i + 1)))
+        };
+        effect.sensors().into_iter().try_for_each(|name| known("sensor", &sensors, name))?;
+        effect.component().map_or(Ok(()), |name| known("component", &components, name))?;
+    }
+    Ok(())
+}
+
+/// Checks ranges of a table's numbers: (name, value, lowest, highest, unit).
+fn ranges(checks: &[(&str, f64, f64, f64, &str)]) -> Result<()> {
+    let mut problems = checks
+        .iter()
+        .filter(|(_, value, low, high, _)| !(value >= low && value <= high))
+        .map(|(name, value, low, high, unit)| {
+            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
+            format!("`{name}` must be in {low}…{high}{unit}, got {value}")
+        })
+        .peekable();
+    if problems.peek().is_none() {
+        return Ok(());
+    }
+    Err(Error::new(problems.collect::<Vec<_>>().join("; ")).usage())
+}
+
+fn depth_range(top_m: f64, bottom_m: f64) -> Result<()> {
+    if top_m >= 0.0 && bottom_m > top_m {
+        return Ok(());
+    }
+    let what = format!("`bottom_m` must be larger than `top_m` ≥ 0 m, got {top_m}…{bottom_m} m");
+    Err(Error::new(what).usage())
+}
+
+/// `bottom_m` where a table does not give it: below every base.
+fn bottomless() -> f64 {
+    1e4
+}
+
+#[cfg(test)]
+mod tests;

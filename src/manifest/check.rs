@@ -17,6 +17,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         ("pretrain", site.pretrain.problems()),
         ("distill", site.distill.problems()),
         ("calibrate", site.calibrate.problems()),
+        ("diagnose", site.diagnose.problems()),
         ("records", site.records.as_ref().map(|r| r.problems()).unwrap_or_default()),
     ];
     for (section, found) in sections {
@@ -36,6 +37,12 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         if let Err(error) = effects::build(table) {
             problems.push(from_error(format!("effects[{i}]"), &error));
         }
+    }
+    let components = site.records.as_ref().map(|r| r.components.clone()).unwrap_or_default();
+    if problems.is_empty()
+        && let Err(error) = site.column().array(&components).and_then(|a| effects::check_names(&site.effects, &a))
+    {
+        problems.push(from_error("effects".into(), &error));
     }
     if problems.is_empty()
         && let Err(error) = site.column().profile().and_then(|p| column::Column::new(&p, &site.analysis).map(|_| ()))

@@ -1,8 +1,8 @@
 //! From the sections to what the domain works with: the profile of the column.
 
-use super::{ColumnSections, LayerSection};
-use crate::column::{Layer, Profile};
-use crate::effects;
+use super::{ColumnSections, LayerSection, OutputSection};
+use crate::column::{Features, Layer, Profile};
+use crate::effects::{self, Array, Effect, Situation};
 use crate::error::{Error, Result};
 
 /// Depth of the water table that means a dry column, m.
@@ -46,16 +46,45 @@ impl ColumnSections {
             vertical: self.site.vertical,
             rayleigh: self.site.rayleigh,
             elements: self.site.elements,
+            features: Features::default(),
         })
     }
 
-    /// The column with the manifest's `[[effects]]` applied.
+    /// The column with the manifest's `[[effects]]` applied, for motions that belong to no record.
     ///
     /// # Errors
     /// When a layer or an effect cannot be built.
     pub fn profile(&self) -> Result<Profile> {
+        self.profile_for(&Situation::default())
+    }
+
+    /// The column with the manifest's `[[effects]]` applied, in the given component and event.
+    ///
+    /// # Errors
+    /// When a layer or an effect cannot be built.
+    pub fn profile_for(&self, situation: &Situation) -> Result<Profile> {
         let mut profile = self.declared_profile()?;
-        effects::apply(&self.effects, &mut profile)?;
+        effects::apply(&self.effects, &mut profile, situation)?;
         Ok(profile)
+    }
+
+    /// Depths at which the output sensors really sit under `effects`, m.
+    pub fn sensor_depths_m(&self, effects: &[Box<dyn Effect>]) -> Vec<f64> {
+        let real = |s: &OutputSection| effects::depth_m(effects, &s.name, s.depth_m, self.site.depth_m);
+        self.sensors.output.iter().map(real).collect()
+    }
+
+    /// The array on the declared column, with horizontal `components`.
+    ///
+    /// # Errors
+    /// When a layer names an unknown law.
+    pub fn array(&self, components: &[String]) -> Result<Array> {
+        Ok(Array {
+            profile: self.declared_profile()?,
+            input: self.sensors.input.clone(),
+            outputs: self.sensors.names(),
+            depths_m: self.sensors.depths_m(),
+            components: components.to_vec(),
+        })
     }
 }

@@ -112,7 +112,7 @@ fn continued(x: &[f64], pad: usize, length: usize) -> Vec<f64> {
 }
 
 /// The smallest `2^a 3^b 5^c ≥ n`: lengths that transform fast.
-fn fast_length(n: usize) -> usize {
+pub(super) fn fast_length(n: usize) -> usize {
     let mut best = n.next_power_of_two();
     let mut fives = 1;
     while fives < best {

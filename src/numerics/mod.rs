@@ -1,9 +1,9 @@
 //! Numerical tools without domain words: linear algebra of the column, filters and resampling, random streams.
 
 pub mod block_tridiagonal;
-pub mod delay;
 pub mod filter;
 pub mod integrate;
 pub mod lanes;
 pub mod random;
 pub mod resample;
+pub mod spectrum;

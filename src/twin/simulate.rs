@@ -1,10 +1,11 @@
 //! Events of a twin site: base motion, truth column, and what the sensors record of it.
 
-use super::observe::{Channels, observe};
-use super::{Draw, Truth};
-use crate::column::Column;
+use super::Truth;
+use super::draw::draw;
+use super::outside::{self, Outside};
+use crate::column::{Analysis, Column, Profile};
 use crate::dataset::sensor_histories;
-use crate::effects;
+use crate::effects::{self, Channels, Direction, Effect, Recording, Situation};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
 use crate::motion::{self, MotionSettings};
@@ -18,14 +19,17 @@ const STEP_S: f64 = 0.01;
 pub struct Recorder<'a> {
     site: &'a ColumnSections,
     truth: &'a Truth,
-    draw: Draw,
-    column: Column,
+    profile: Profile,
+    analysis: Analysis,
+    /// The drawn tolerances, then what the truth file adds.
+    effects: Vec<Box<dyn Effect>>,
+    outside: Vec<Box<dyn Outside>>,
 }
 
-/// Prepares the truth column of `site` under `truth`.
+/// Prepares the truth of `site`.
 ///
 /// # Errors
-/// When the truth names an unknown law or effect, or the column cannot be built.
+/// When the truth names an unknown law, effect or sensor, or the column cannot be built.
 pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'a Truth) -> Result<Recorder<'a>> {
     let mut site_of_truth = site.clone();
     for (name, parameters) in &truth.law {
@@ -37,16 +41,35 @@ pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'
         })?;
         law.extend(parameters.clone());
     }
-    let mut profile = site_of_truth.declared_profile()?;
-    let draw = Draw::new(tolerances, profile.layers.len(), site.sensors.output.len() + 1, truth.seed);
-    draw.apply(&mut profile);
-    effects::apply(&truth.effects, &mut profile)?;
-    profile.elements *= truth.mesh_factor;
+    let array = site_of_truth.array(&truth.components())?;
+    let mut tables = draw(&array, tolerances, truth.seed);
+    tables.extend(truth.effects.clone());
+    effects::check_names(&truth.effects, &array)?;
     let mut analysis = site.analysis.clone();
     analysis.max_step_s = truth.max_step_s;
     analysis.initial_step_s = analysis.initial_step_s.min(truth.max_step_s);
-    let column = Column::new(&profile, &analysis).map_err(|e| e.at("the truth column"))?;
-    Ok(Recorder { site, truth, draw, column })
+    let recorder = Recorder {
+        site,
+        truth,
+        profile: array.profile,
+        analysis,
+        effects: effects::build_all(&tables)?,
+        outside: outside::build_all(&truth.outside)?,
+    };
+    recorder.column(&Situation::default())?;
+    Ok(recorder)
+}
+
+impl Recorder<'_> {
+    /// The truth column in a situation.
+    fn column(&self, situation: &Situation) -> Result<Column> {
+        let mut profile = self.profile.clone();
+        for effect in &self.effects {
+            effect.edit(&mut profile, situation);
+        }
+        profile.elements *= self.truth.mesh_factor;
+        Column::new(&profile, &self.analysis).map_err(|e| e.at("the truth column"))
+    }
 }
 
 /// Records of event `name`, one for each of `components` in the order given.
@@ -54,13 +77,17 @@ pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'
 /// # Errors
 /// When the truth does not have the event or component, or the truth column does not finish.
 pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) -> Result<Vec<Record>> {
-    let Recorder { site, truth, draw, column } = recorder;
+    let Recorder { site, truth, profile, effects, outside, .. } = recorder;
     let section = truth.event.iter().find(|e| e.name == name).ok_or_else(|| {
         let known: Vec<&str> = truth.event.iter().map(|e| e.name.as_str()).collect();
         Error::new(format!("the truth has no event `{name}`")).hint(crate::registry::known(&known, name)).usage()
     })?;
-    let mut motions: Vec<Channels> = vec![Vec::new(); site.sensors.output.len() + 1];
-    for component in components {
+    let names: Vec<String> = std::iter::once(site.sensors.input.clone()).chain(site.sensors.names()).collect();
+    let declared_m: Vec<f64> = std::iter::once(profile.depth_m()).chain(site.sensors.depths_m()).collect();
+    let sits_at = |(sensor, z): (&String, &f64)| effects::depth_m(effects, sensor, *z, profile.depth_m());
+    let depths_m: Vec<f64> = names.iter().zip(&declared_m).skip(1).map(sits_at).collect();
+    let mut motions: Vec<Channels> = vec![Vec::new(); names.len()];
+    for (c, component) in components.iter().enumerate() {
         let pga_g = *section
             .pga_g
             .get(component)
@@ -71,24 +98,26 @@ pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) 
             ..truth.motions(pga_g)
         };
         let motion = motion::suite(&settings)?.remove(0);
-        let depths = site.sensors.depths_m();
-        let histories = sensor_histories(column, motion.dt_s, &motion.acceleration_m_s2, &depths)
+        let column = recorder.column(&Situation::of(c, name, truth.event.iter().map(|e| e.name.as_str())))?;
+        let histories = sensor_histories(&column, motion.dt_s, &motion.acceleration_m_s2, &depths_m)
             .map_err(|e| e.at(format!("event `{name}`, component `{component}`")))?;
         for (sensor, history) in motions.iter_mut().zip(histories) {
             sensor.push(resample::resample_band_limited(&history, site.analysis.output_step_s, STEP_S));
         }
     }
-    let observed = observe(&motions, STEP_S, draw);
-    let names = site.sensors.names();
+    let recording = Recording { event: name, dt_s: STEP_S, sensors: &names, depths_m: &declared_m, components };
+    for extra in outside {
+        extra.add(&recording, truth.seed, &mut motions)?;
+    }
+    let observed = effects::observe(&recording, &motions, effects, Direction::Distort);
     let records = components.iter().enumerate().map(|(c, component)| {
-        let sensor =
-            |s: usize, name: &str| Sensor { name: name.to_string(), acceleration_m_s2: observed[s][c].clone() };
+        let sensor = |s: usize| Sensor { name: names[s].clone(), acceleration_m_s2: observed[s][c].clone() };
         let mut record = Record {
             event: name.to_string(),
             component: component.clone(),
             dt_s: STEP_S,
-            input: sensor(0, &site.sensors.input),
-            outputs: names.iter().enumerate().map(|(s, name)| sensor(s + 1, name)).collect(),
+            input: sensor(0),
+            outputs: (1..names.len()).map(sensor).collect(),
         };
         add_noise(&mut record, &truth.noise, truth.seed);
         record

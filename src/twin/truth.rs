@@ -1,5 +1,6 @@
 //! The truth file: what really holds at a twin site.
 
+use super::outside;
 use crate::effects;
 use crate::error::{Context, Error, Result};
 use crate::motion::{Band, MotionSettings};
@@ -42,6 +43,10 @@ pub struct Truth {
     #[serde(default)]
     #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
     pub effects: Vec<toml::Table>,
+    /// What holds and no effect of the catalogue describes.
+    #[serde(default)]
+    #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
+    pub outside: Vec<toml::Table>,
 }
 
 fn default_mesh_factor() -> usize {
@@ -82,6 +87,12 @@ impl Truth {
         Ok(truth)
     }
 
+    /// Components of the events, in alphabetical order.
+    pub fn components(&self) -> Vec<String> {
+        let names: std::collections::BTreeSet<&String> = self.event.iter().flat_map(|e| e.pga_g.keys()).collect();
+        names.into_iter().cloned().collect()
+    }
+
     /// Settings of one event motion of peak `pga_g`; seed and duration are the event's own.
     pub(super) fn motions(&self, pga_g: f64) -> MotionSettings {
         MotionSettings {
@@ -120,6 +131,7 @@ impl Truth {
                 range("pga_g", *pga, 1e-4, 3.0, " g").map_err(place)?;
             }
         }
-        effects::build_all(&self.effects).map(|_| ())
+        effects::build_all(&self.effects)?;
+        outside::build_all(&self.outside).map(|_| ())
     }
 }

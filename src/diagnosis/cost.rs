@@ -1,0 +1,227 @@
+//! The errors-in-variables cost: residuals whitened by the noise of outputs and input as the model passes it on.
+
+use super::anchor::Anchor;
+use super::operators::{Operators, entry};
+use super::responses::{Responses, Scene};
+use crate::effects::Effect;
+use rayon::prelude::*;
+use realfft::num_complex::Complex;
+
+type C64 = Complex<f64>;
+
+/// Residuals of whole groups, whitened: independent and of variance 1 where the model and its noise are right.
+///
+/// With all outputs of one event at one frequency in y and both components of the input in u,
+///
+/// ```text
+/// r = y − ŷ(θ, u_m),   Σ(θ) = S + A S_u Aᴴ,   ρ = √2 Σ^{−1/2} r,   cost = Σ |ρ|²                    (1)
+/// Σ^{−1/2} = (I − B̃ W B̃ᴴ) S^{−1/2},   B̃ = S^{−1/2} A S_u^{1/2},   G = B̃ᴴ B̃,   W = G⁻¹(I − (I + G)^{−1/2})   (2)
+/// ```
+///
+/// ŷ is the model's motion, cut as the record is; A = ∂ŷ/∂u_m holds column, anchor and sensors. The true input is an unknown of its own, so there is no determinant of Σ in the cost.
+///
+/// Limits: noise of different sensors and bins independent; at most two components share the input.
+/// Check:  `whitening_is_the_inverse_square_root_of_the_covariance`.
+/// Source: Pintelon and Schoukens (2012), System Identification, 2nd ed., chapter 12.
+pub fn whitened(
+    scene: &Scene<'_>,
+    effects: &[Box<dyn Effect>],
+    responses: &Responses,
+    anchor: &Anchor,
+    groups: &[usize],
+) -> Vec<f64> {
+    let parts: Vec<Vec<f64>> = groups.par_iter().map(|g| group(scene, effects, responses, anchor, *g)).collect();
+    parts.concat()
+}
+
+fn group(scene: &Scene<'_>, effects: &[Box<dyn Effect>], responses: &Responses, anchor: &Anchor, g: usize) -> Vec<f64> {
+    let group = &scene.groups[g];
+    let n_sensor = scene.problem.array.outputs.len();
+    let n_record = group.records.len();
+    let removed = scene.estimated_interference(effects, g);
+    let mut out = Vec::with_capacity(group.n_residual());
+    let mut bin = Bin::new(n_record, n_record * n_sensor);
+    let all = Operators::new(scene, effects);
+    let inputs: Vec<Vec<C64>> = (0..n_record).map(|r| scene.true_input(effects, &all, g, r)).collect();
+    let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
+    let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
+    for (k, f) in group.frequencies_hz.iter().enumerate() {
+        let undone = all.input_undone(*f);
+        for s in 0..n_sensor {
+            let operator = &all.at(s + 1, *f);
+            let arrival = all.arrival(scene.problem.array.depths_m[s], *f);
+            for r in 0..n_record {
+                let row = r * n_sensor + s;
+                bin.model[row].fill(C64::default());
+                bin.residual[row] = C64::default();
+                for q in 0..n_record {
+                    let weight = entry(operator, components[r], components[q]);
+                    if weight == C64::default() {
+                        continue;
+                    }
+                    let response = &responses.records[g][q];
+                    let at = k * n_sensor + s;
+                    // The true input has moved since the response was computed only where the column did not change.
+                    let moved = inputs[q][k] - response.input[k];
+                    let mut predicted = response.motion[at] + response.transfer[at] * moved;
+                    let mut motion = response.transfer[at];
+                    if let Some(anchor) = &anchor.records[g][q] {
+                        motion *= anchor.factor[at];
+                        predicted = predicted * anchor.factor[at] + anchor.rest[at];
+                    }
+                    predicted += arrival * inputs[q][k];
+                    motion += arrival;
+                    bin.residual[row] -= weight * predicted;
+                    for p in 0..n_record {
+                        bin.model[row][p] += weight * motion * entry(&undone, components[q], components[p]);
+                    }
+                }
+                let record = &group.records[r];
+                let source = sources[s + 1];
+                bin.residual[row] += record.channels[source][k];
+                if let Some(added) = &removed[r][source] {
+                    bin.residual[row] -= added[k];
+                }
+                bin.noise[row] = record.noise[source][k];
+            }
+        }
+        for (p, record) in group.records.iter().enumerate() {
+            bin.input_noise[p] = record.noise[sources[0]][k];
+        }
+        bin.whiten(&mut out);
+    }
+    out
+}
+
+/// One frequency of one event.
+struct Bin {
+    model: Vec<Vec<C64>>,
+    residual: Vec<C64>,
+    noise: Vec<f64>,
+    input_noise: Vec<f64>,
+}
+
+impl Bin {
+    fn new(n_input: usize, n_row: usize) -> Self {
+        Self {
+            model: vec![vec![C64::default(); n_input]; n_row],
+            residual: vec![C64::default(); n_row],
+            noise: vec![1.0; n_row],
+            input_noise: vec![0.0; n_input],
+        }
+    }
+
+    /// Appends ρ of (1), real and imaginary parts; (2) for the first two inputs.
+    fn whiten(&mut self, out: &mut Vec<f64>) {
+        let n_input = self.input_noise.len();
+        let roots: Vec<f64> = self.input_noise.iter().map(|s| s.sqrt()).collect();
+        for ((model, residual), noise) in self.model.iter_mut().zip(&mut self.residual).zip(&self.noise) {
+            let scale = 1.0 / noise.sqrt();
+            *residual *= scale;
+            for (a, root) in model.iter_mut().zip(&roots) {
+                *a *= scale * root;
+            }
+        }
+        let dot = |p: usize, value: &dyn Fn(usize) -> C64| -> C64 {
+            self.model.iter().enumerate().map(|(i, row)| row[p].conj() * value(i)).sum()
+        };
+        let zero = C64::default();
+        let two = n_input > 1;
+        let g00 = dot(0, &|i| self.model[i][0]).re;
+        let g11 = if two { dot(1, &|i| self.model[i][1]).re } else { 0.0 };
+        let g01 = if two { dot(0, &|i| self.model[i][1]) } else { zero };
+        let b = [dot(0, &|i| self.residual[i]), if two { dot(1, &|i| self.residual[i]) } else { zero }];
+        // W = f(G) = α I + β G for a Hermitian two-by-two G with eigenvalues g1, g2.
+        let half = 0.5 * (g00 + g11);
+        let spread = (0.25 * (g00 - g11) * (g00 - g11) + g01.norm_sqr()).sqrt();
+        let (g1, g2) = (half + spread, (half - spread).max(0.0));
+        let (f1, f2) = (kernel(g1), kernel(g2));
+        let beta = if g1 - g2 > 1e-6 * (1.0 + g1) {
+            (f1 - f2) / (g1 - g2)
+        } else {
+            let step = 1e-4 * (1.0 + g1);
+            (kernel(g1 + step) - f1) / step
+        };
+        let alpha = f1 - beta * g1;
+        let w =
+            [b[0] * (alpha + beta * g00) + g01 * b[1] * beta, b[1] * (alpha + beta * g11) + g01.conj() * b[0] * beta];
+        for (row, r) in self.model.iter().zip(&self.residual) {
+            let mut value = r - row[0] * w[0];
+            if two {
+                value -= row[1] * w[1];
+            }
+            out.push(value.re * std::f64::consts::SQRT_2);
+            out.push(value.im * std::f64::consts::SQRT_2);
+        }
+    }
+}
+
+/// (1 − 1/√(1 + g))/g.
+fn kernel(g: f64) -> f64 {
+    let root = (1.0 + g).sqrt();
+    1.0 / (root * (1.0 + root))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn whitening_is_the_inverse_square_root_of_the_covariance() {
+        let c = C64::new;
+        let mut bin = Bin::new(2, 3);
+        bin.model =
+            vec![vec![c(2.0, 1.0), c(0.1, -0.3)], vec![c(-0.5, 0.4), c(1.5, 0.2)], vec![c(3.0, -2.0), c(0.3, 0.0)]];
+        bin.residual = vec![c(0.4, -0.1), c(1.0, 0.7), c(-0.2, 0.5)];
+        bin.noise = vec![0.5, 1.0, 0.2];
+        bin.input_noise = vec![0.3, 0.8];
+        let mut sigma = [[c(0.0, 0.0); 3]; 3];
+        for (i, row) in sigma.iter_mut().enumerate() {
+            for (j, value) in row.iter_mut().enumerate() {
+                for p in 0..2 {
+                    *value += bin.model[i][p] * bin.model[j][p].conj() * bin.input_noise[p];
+                }
+                if i == j {
+                    *value += bin.noise[i];
+                }
+            }
+        }
+        // Σ x = r by elimination.
+        let mut x = bin.residual.clone();
+        for i in 0..3 {
+            for j in i + 1..3 {
+                let factor = sigma[j][i] / sigma[i][i];
+                for k in i..3 {
+                    let term = factor * sigma[i][k];
+                    sigma[j][k] -= term;
+                }
+                let term = factor * x[i];
+                x[j] -= term;
+            }
+        }
+        for i in (0..3).rev() {
+            for k in i + 1..3 {
+                let term = sigma[i][k] * x[k];
+                x[i] -= term;
+            }
+            x[i] /= sigma[i][i];
+        }
+        let expected: f64 = 2.0 * bin.residual.iter().zip(&x).map(|(r, x)| (r.conj() * x).re).sum::<f64>();
+        let mut rho = Vec::new();
+        bin.whiten(&mut rho);
+        let cost: f64 = rho.iter().map(|v| v * v).sum();
+        assert!((cost / expected - 1.0).abs() < 1e-12, "{cost} {expected}");
+    }
+
+    #[test]
+    fn one_component_alone_is_whitened_too() {
+        let mut bin = Bin::new(1, 1);
+        bin.model[0][0] = C64::new(3.0, 0.0);
+        bin.residual[0] = C64::new(1.0, 1.0);
+        bin.noise[0] = 1.0;
+        bin.input_noise[0] = 1.0;
+        let mut rho = Vec::new();
+        bin.whiten(&mut rho);
+        assert!((rho[0] * rho[0] - 2.0 / 10.0).abs() < 1e-12 && rho[0] == rho[1]);
+    }
+}

@@ -1,0 +1,200 @@
+//! The whole diagnosis: declared model, recalibrated model, forward search, backward check, verdict.
+
+use super::anchor::Anchor;
+use super::outcome::{Candidate, Diagnosis, Thresholds};
+use super::problem::{Problem, Replay};
+use super::responses::Scene;
+use super::round::{Fitted, Ground, parameters};
+use super::search::{Model, Search};
+use super::settings::DiagnoseSettings;
+use super::verdict;
+use crate::effects;
+use crate::error::Result;
+use crate::progress::Progress;
+
+/// Most steps of the recalibration, and after a new anchor.
+const STEPS: [usize; 2] = [12, 6];
+/// Most replays of a recalibration.
+const MAX_ANCHORS: usize = 3;
+
+/// Names what the declared model lacks.
+///
+/// # Errors
+/// When an event is unusable, the column cannot be built, or a replay is impossible.
+pub fn diagnose(
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+    thresholds: &Thresholds,
+    progress: &dyn Progress,
+) -> Result<Diagnosis> {
+    let mut scene = Scene::new(problem, settings)?;
+    let declared = {
+        let search = Search::new(&scene, settings, Some(replay))?;
+        search.anchored(&[], &vec![0.0; search.nuisances.len()])?
+    };
+    scene.distrust(&declared);
+    let search = Search::new(&scene, settings, Some(replay))?;
+    let path = search.walk(declared, thresholds, progress)?;
+    verdict::assemble(&search, &path, thresholds)
+}
+
+/// What a diagnosis went through.
+pub(super) struct Path {
+    /// The model as declared.
+    pub declared: Model,
+    /// Recalibrated within the tolerances, restarted from better nuisances where a fit found them.
+    pub recalibrated: Model,
+    /// With every accepted effect.
+    pub corrected: Model,
+    /// Accepted effects as they were when accepted.
+    pub accepted: Vec<Fitted>,
+    /// Everything fitted, round by round.
+    pub candidates: Vec<Candidate>,
+    /// The first round, best first.
+    pub first: Vec<Fitted>,
+    /// What the corrected model was settled against.
+    pub anchor: Anchor,
+}
+
+impl Search<'_> {
+    /// Declared, recalibrated, and as many rounds as raise alarms.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn walk(&self, declared_anchor: Anchor, thresholds: &Thresholds, progress: &dyn Progress) -> Result<Path> {
+        progress.start("diagnosis", 3 + self.settings.max_effects as u64);
+        let zero = vec![0.0; self.nuisances.len()];
+        let declared = self.settle(&[], &zero, &declared_anchor, None, 0)?;
+        progress.advance(1);
+        let (recalibrated, anchor) = self.recalibrated(&declared, &declared_anchor, progress)?;
+        progress.advance(1);
+        let mut path = Path {
+            declared,
+            recalibrated: recalibrated.clone(),
+            corrected: recalibrated,
+            accepted: Vec::new(),
+            candidates: Vec::new(),
+            first: Vec::new(),
+            anchor,
+        };
+        for number in 1..=self.settings.max_effects {
+            let from_declared = path.declared_with_effects(self, &declared_anchor)?;
+            let at = if number == 1 { &declared_anchor } else { &path.anchor };
+            let ground =
+                Ground { declared: Some((&from_declared, at)), base: path.corrected.clone(), anchor: &path.anchor };
+            let round = self.round(ground, progress)?;
+            if number == 1 {
+                path.recalibrated = round.base.clone();
+                path.first = round.fitted.clone();
+            }
+            path.corrected = round.base;
+            path.note(self, &round.fitted, number);
+            progress.advance(1);
+            let Some(best) = round.fitted.first() else { break };
+            progress.note(&format!(
+                "round {number}: {} {} gains {:.0} ({:.0} on validation)",
+                best.instance.kind,
+                best.instance.place(),
+                best.gain,
+                best.validation_gain
+            ));
+            if best.gain <= thresholds.gain || best.validation_gain <= thresholds.validation_gain {
+                break;
+            }
+            path.corrected = best.model.clone();
+            path.accepted.push(best.clone());
+            if let Some(confirmed) = round.anchor {
+                path.anchor = confirmed;
+            }
+            self.drop_needless(&mut path)?;
+            if path.corrected.cost() <= self.expected_cost() {
+                break;
+            }
+        }
+        progress.advance(1);
+        Ok(path)
+    }
+
+    /// Recalibrates, replays there, and recalibrates again, as long as that helps.
+    fn recalibrated(&self, declared: &Model, anchor: &Anchor, progress: &dyn Progress) -> Result<(Model, Anchor)> {
+        let mut model = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
+        let mut best: Option<(Model, Anchor)> = None;
+        for _ in 0..MAX_ANCHORS {
+            let anchor = self.anchored(&[], model.x())?;
+            let seen = self.settle(&[], model.x(), &anchor, Some(&model), 0)?;
+            progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", model.cost(), seen.cost()));
+            let is_done = best.as_ref().is_some_and(|(b, _)| seen.cost() > 0.98 * b.cost());
+            if best.as_ref().is_none_or(|(b, _)| seen.cost() < b.cost()) {
+                best = Some((seen.clone(), anchor));
+            }
+            if is_done || self.replay.is_none() {
+                break;
+            }
+            let Some((seen, anchor)) = &best else { break };
+            model = self.settle(&[], seen.x(), anchor, Some(seen), STEPS[1])?;
+        }
+        // The last anchor reached serves, and the fit about it.
+        let (seen, anchor) = match best {
+            Some(best) => best,
+            None => (model, Anchor::fast(self.scene)),
+        };
+        let fitted = self.settle(&[], seen.x(), &anchor, Some(&seen), STEPS[1])?;
+        Ok((fitted, anchor))
+    }
+
+    /// Takes out effects that later ones have made needless.
+    fn drop_needless(&self, path: &mut Path) -> Result<()> {
+        let mut index = 0;
+        while path.accepted.len() > 1 && index + 1 < path.accepted.len() {
+            let mut effects = path.corrected.effects.clone();
+            let dropped = effects.remove(index);
+            let at = self.nuisances.len() + effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
+            let mut x = path.corrected.x().to_vec();
+            x.drain(at..at + dropped.free.len());
+            let without = self.settle(&effects, &x, &path.anchor, Some(&path.corrected), STEPS[1])?;
+            let level = path.corrected.level().max(1.0);
+            if (without.cost() - path.corrected.cost()) / level < self.charge() * parameters(&dropped) {
+                path.corrected = without;
+                path.accepted.remove(index);
+            } else {
+                index += 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// Cost of a model that leaves only noise.
+    pub(super) fn expected_cost(&self) -> f64 {
+        (self.scene.n_residual(&self.train) + self.scene.n_residual(&self.validation)) as f64
+    }
+}
+
+impl Path {
+    /// The effects so far with nuisances at their declared values.
+    fn declared_with_effects(&self, search: &Search<'_>, declared: &Anchor) -> Result<Model> {
+        let mut x = self.corrected.x().to_vec();
+        x[..search.nuisances.len()].fill(0.0);
+        let anchor = if self.accepted.is_empty() { declared } else { &self.anchor };
+        search.settle(&self.corrected.effects, &x, anchor, Some(&self.corrected), 0)
+    }
+
+    fn note(&mut self, search: &Search<'_>, fitted: &[Fitted], round: usize) {
+        let excess = (self.recalibrated.cost() - search.expected_cost()).max(1.0);
+        self.candidates.extend(fitted.iter().map(|f| {
+            let x = f.model.x();
+            let own = &x[x.len() - f.instance.free.len()..];
+            Candidate {
+                kind: f.instance.kind.to_string(),
+                target: f.instance.place(),
+                class: effects::find(f.instance.kind).map_or(effects::Class::Soil, |e| e.catalogue.class),
+                gain: f.gain,
+                validation_gain: f.validation_gain,
+                explained_share: ((self.recalibrated.cost() - f.model.cost()) / excess).clamp(0.0, 1.0),
+                round,
+                is_confirmed: f.is_confirmed,
+                table: f.instance.at(own),
+            }
+        }));
+    }
+}

@@ -1,0 +1,341 @@
+//! The column in the frequency domain, at moduli and damping compatible with its strains: what the search runs on.
+
+use super::curves::{Curve, Curves};
+use crate::column::{Analysis, Column, Profile};
+use crate::error::Result;
+use crate::soil::Point;
+use realfft::num_complex::Complex;
+use std::f64::consts::TAU;
+
+type C64 = Complex<f64>;
+
+/// Elements in the wave length of the highest frequency.
+const PER_WAVE: f64 = 18.0;
+/// Most elements.
+const MAX_ELEMENTS: usize = 120;
+/// Places of a layer at which its curve is measured, at most.
+const PLACES: usize = 3;
+
+/// Lumped masses and linear-equivalent elements.
+///
+/// With total displacement U and base motion u_g, from the free surface down over nodes i and elements i,
+///
+/// ```text
+/// τ_i = τ_{i−1} − (ω² m_i − iω c_i) U_i − iω c_i u_g                      (1)
+/// γ_i = τ_i / (G_i (1 + 2i D_i) + iω β_i G₀_i),   U_{i+1} = U_i + h_i γ_i   (2)
+/// U = a U_h + u_g U_p,   a = u_g (1 − U_p(H)) / U_h(H)                     (3)
+/// ```
+///
+/// where U_h starts with (1, 0) and no source and U_p with (0, 0) and the source of (1). Everything marched is a smooth
+/// function of frequency, resonances appear in (3) only; so the march needs a coarse grid.
+///
+/// Limits: one modulus and damping per element and motion, the effective strain's; no permanent strain.
+/// Check:  the tests below against the exact layered column and against the nonlinear column in weak motion.
+/// Source: Idriss and Sun (1992), SHAKE91; Hughes (2000), The Finite Element Method, for lumped masses.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FastColumn {
+    elements: Vec<Element>,
+    mass: Vec<f64>,
+    damping: Vec<f64>,
+    depth_m: f64,
+    travel_s: f64,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Element {
+    height_m: f64,
+    depth_m: f64,
+    shear_modulus_pa: f64,
+    beta_s: f64,
+    curve: Curve,
+}
+
+/// Elements that the declared `profile` needs up to `high_hz`.
+pub fn element_count(profile: &Profile, high_hz: f64) -> usize {
+    let depth_m = profile.depth_m();
+    let needed = profile.layers.iter().map(|l| {
+        let height_m = l.vs_m_s / (PER_WAVE * high_hz);
+        if l.thickness_m <= 1.5 * height_m { 1.0 } else { (depth_m / height_m).ceil() }
+    });
+    (needed.fold(1.0, f64::max) as usize).clamp(profile.layers.len(), MAX_ELEMENTS.max(profile.layers.len()))
+}
+
+impl FastColumn {
+    /// Sets up `profile` with about `elements` elements.
+    ///
+    /// # Errors
+    /// When the profile or a law is out of range.
+    pub fn new(profile: &Profile, elements: usize, curves: &Curves) -> Result<Self> {
+        let coarse = Profile { elements: elements.max(profile.layers.len()), ..profile.clone() };
+        let column = Column::new(&coarse, &Analysis::default())?;
+        let mut out = Vec::with_capacity(coarse.elements);
+        let (mut layer, mut top_m) = (0, 0.0);
+        let mut latest: Option<(usize, usize, Curve)> = None;
+        for slice in column.slices() {
+            while layer + 1 < coarse.layers.len() && slice.depth_m > top_m + coarse.layers[layer].thickness_m {
+                top_m += coarse.layers[layer].thickness_m;
+                layer += 1;
+            }
+            let declared = &coarse.layers[layer];
+            let places = ((declared.thickness_m / (0.04 * coarse.depth_m())) as usize).clamp(1, PLACES);
+            let place = ((slice.depth_m - top_m) / declared.thickness_m * places as f64) as usize;
+            let curve = match latest {
+                Some((l, p, curve)) if (l, p) == (layer, place) => curve,
+                _ => {
+                    let point = Point {
+                        depth_m: slice.depth_m,
+                        density_kg_m3: declared.density_kg_m3,
+                        vs_m_s: declared.vs_m_s,
+                        vertical_pa: slice.vertical_pa,
+                        horizontal_pa: declared.k0 * slice.vertical_pa,
+                    };
+                    curves.of(slice.law, declared, &point, slice.pore_pa, coarse.vertical)
+                }
+            };
+            latest = Some((layer, place, curve));
+            out.push(Element {
+                height_m: slice.height_m,
+                depth_m: slice.depth_m,
+                shear_modulus_pa: slice.shear_modulus_pa,
+                beta_s: slice.beta_s,
+                curve,
+            });
+        }
+        Ok(Self {
+            elements: out,
+            mass: column.node_mass_kg_m2().to_vec(),
+            damping: column.node_damping_kg_m2_s().to_vec(),
+            depth_m: coarse.depth_m(),
+            travel_s: coarse.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum(),
+        })
+    }
+
+    /// Number of elements.
+    pub fn n_element(&self) -> usize {
+        self.elements.len()
+    }
+
+    /// Mid-depths of the elements over the depth of the column.
+    pub fn relative_depths(&self) -> impl Iterator<Item = f64> {
+        self.elements.iter().map(|e| e.depth_m / self.depth_m)
+    }
+
+    /// Marches the column on `grid` with effective strains `gamma`, one an element.
+    pub fn march(&self, grid: Grid, gamma: &[f64], depths_m: &[f64]) -> March {
+        let n = grid.count;
+        let omega: Vec<f64> = (0..n).map(|k| TAU * grid.frequency(k)).collect();
+        let is_damped = self.damping.iter().any(|c| *c > 0.0);
+        let rows = self.rows(depths_m);
+        let mut homogeneous = Wave::new(n, [1.0, 0.0]);
+        let mut particular = Wave::new(n, [0.0, 0.0]);
+        let mut march = March {
+            grid,
+            is_damped,
+            base: [Vec::new(), Vec::new()],
+            sensors: vec![[vec![C64::default(); n], vec![C64::default(); n]]; depths_m.len()],
+            strain: [vec![C64::default(); n * self.elements.len()], Vec::new()],
+        };
+        if is_damped {
+            march.strain[1] = march.strain[0].clone();
+        }
+        for i in 0..=self.elements.len() {
+            for (sensor, (node, share)) in march.sensors.iter_mut().zip(&rows) {
+                let weight = if *node == i {
+                    1.0 - share
+                } else if node + 1 == i {
+                    *share
+                } else {
+                    continue;
+                };
+                homogeneous.add_to(&mut sensor[0], weight);
+                if is_damped {
+                    particular.add_to(&mut sensor[1], weight);
+                }
+            }
+            let Some(element) = self.elements.get(i) else { break };
+            let (ratio, damping) = element.curve.at(gamma[i]);
+            let modulus = element.shear_modulus_pa * ratio;
+            let stiffness = [modulus, 2.0 * damping * modulus, element.beta_s * element.shear_modulus_pa];
+            let node = [self.mass[i], self.damping[i]];
+            let slot = i * n..(i + 1) * n;
+            homogeneous.step(&omega, node, 0.0, stiffness, element.height_m, &mut march.strain[0][slot.clone()]);
+            if is_damped {
+                particular.step(&omega, node, 1.0, stiffness, element.height_m, &mut march.strain[1][slot]);
+            }
+        }
+        march.base = [homogeneous.displacement(), if is_damped { particular.displacement() } else { Vec::new() }];
+        march
+    }
+
+    /// (node above, share of the node below) of each sensor.
+    fn rows(&self, depths_m: &[f64]) -> Vec<(usize, f64)> {
+        let row = |depth_m: &f64| {
+            let mut top_m = 0.0;
+            for (i, element) in self.elements.iter().enumerate() {
+                if *depth_m < top_m + element.height_m {
+                    return (i, ((depth_m - top_m) / element.height_m).max(0.0));
+                }
+                top_m += element.height_m;
+            }
+            (self.elements.len(), 0.0)
+        };
+        depths_m.iter().map(row).collect()
+    }
+
+    /// Frequency step that resolves what is marched, Hz.
+    pub fn grid_step_hz(&self) -> f64 {
+        (0.03 / self.travel_s).min(0.125)
+    }
+}
+
+/// Equidistant frequencies.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Grid {
+    /// First frequency, Hz.
+    pub first_hz: f64,
+    /// Step, Hz.
+    pub step_hz: f64,
+    /// How many.
+    pub count: usize,
+}
+
+impl Grid {
+    /// A grid that reaches a step and a half beyond `low_hz…high_hz`.
+    pub fn around(low_hz: f64, high_hz: f64, step_hz: f64) -> Self {
+        let first_hz = (low_hz - 1.5 * step_hz).max(0.02);
+        let count = ((high_hz + 1.5 * step_hz - first_hz) / step_hz).ceil() as usize + 2;
+        Self { first_hz, step_hz, count: count.max(4) }
+    }
+
+    /// Frequency of node `k`, Hz.
+    pub fn frequency(&self, k: usize) -> f64 {
+        self.first_hz + k as f64 * self.step_hz
+    }
+
+    /// First of four nodes around `frequency_hz` and Lagrange's weights.
+    pub fn cubic(&self, frequency_hz: f64) -> (usize, [f64; 4]) {
+        let x = (frequency_hz - self.first_hz) / self.step_hz;
+        let i = (x.floor() as isize - 1).clamp(0, self.count as isize - 4) as usize;
+        let t = x - i as f64;
+        let [a, b, c, d] = [t, t - 1.0, t - 2.0, t - 3.0];
+        (i, [-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0])
+    }
+}
+
+/// A solution being marched, real and imaginary parts apart.
+struct Wave {
+    u: [Vec<f64>; 2],
+    tau: [Vec<f64>; 2],
+}
+
+impl Wave {
+    fn new(n: usize, start: [f64; 2]) -> Self {
+        Self { u: [vec![start[0]; n], vec![start[1]; n]], tau: [vec![0.0; n], vec![0.0; n]] }
+    }
+
+    fn displacement(&self) -> Vec<C64> {
+        self.u[0].iter().zip(&self.u[1]).map(|(re, im)| C64::new(*re, *im)).collect()
+    }
+
+    fn add_to(&self, sum: &mut [C64], weight: f64) {
+        for ((sum, re), im) in sum.iter_mut().zip(&self.u[0]).zip(&self.u[1]) {
+            *sum += C64::new(weight * re, weight * im);
+        }
+    }
+
+    /// One node and the element below it: (1) and (2).
+    fn step(
+        &mut self,
+        omega: &[f64],
+        [mass, damping]: [f64; 2],
+        source: f64,
+        [re, im, viscous]: [f64; 3],
+        height_m: f64,
+        strain: &mut [C64],
+    ) {
+        let [ur, ui] = &mut self.u;
+        let [tr, ti] = &mut self.tau;
+        let n = omega.len();
+        let (ur, ui, tr, ti, strain) = (&mut ur[..n], &mut ui[..n], &mut tr[..n], &mut ti[..n], &mut strain[..n]);
+        for k in 0..n {
+            let w = omega[k];
+            let (m, c) = (w * w * mass, w * damping);
+            tr[k] -= m * ur[k] + c * ui[k];
+            ti[k] += c * (ur[k] - source) - m * ui[k];
+            let loss = im + w * viscous;
+            let scale = 1.0 / (re * re + loss * loss);
+            let sr = (tr[k] * re + ti[k] * loss) * scale;
+            let si = (ti[k] * re - tr[k] * loss) * scale;
+            ur[k] += height_m * sr;
+            ui[k] += height_m * si;
+            strain[k] = C64::new(sr, si);
+        }
+    }
+}
+
+/// A marched column: what (3) needs, on the coarse grid.
+#[derive(Debug, Clone)]
+pub struct March {
+    grid: Grid,
+    is_damped: bool,
+    /// U_h and U_p at the base.
+    base: [Vec<C64>; 2],
+    /// U_h and U_p at each sensor.
+    sensors: Vec<[Vec<C64>; 2]>,
+    /// Strains of U_h and U_p, element after element.
+    strain: [Vec<C64>; 2],
+}
+
+impl March {
+    /// (a/u_g, weights) of (3) at `frequency_hz`.
+    fn amplitude(&self, frequency_hz: f64) -> (C64, usize, [f64; 4]) {
+        let (i, weights) = self.grid.cubic(frequency_hz);
+        let at = |v: &[C64]| (0..4).map(|k| v[i + k] * weights[k]).sum::<C64>();
+        let particular = if self.is_damped { at(&self.base[1]) } else { C64::default() };
+        ((C64::new(1.0, 0.0) - particular) / at(&self.base[0]), i, weights)
+    }
+
+    /// Total motion of every sensor over the base motion at `frequency_hz`, written to `out`.
+    pub fn response(&self, frequency_hz: f64, out: &mut [C64]) {
+        let (a, i, weights) = self.amplitude(frequency_hz);
+        for (out, [h, p]) in out.iter_mut().zip(&self.sensors) {
+            let at = |v: &[C64]| (0..4).map(|k| v[i + k] * weights[k]).sum::<C64>();
+            *out = a * at(h);
+            if self.is_damped {
+                *out += at(p);
+            }
+        }
+    }
+
+    /// Root of the sum of |γ|² over the bins, element by element, for base displacements `u` at `frequencies_hz`.
+    pub fn strain_norm(&self, frequencies_hz: &[f64], u: &[C64]) -> Vec<f64> {
+        let n = self.grid.count;
+        let mut weights = vec![[0.0; 4]; n];
+        for (f, u) in frequencies_hz.iter().zip(u) {
+            let a = self.amplitude(*f).0;
+            let power = u.norm_sqr();
+            let x = ((f - self.grid.first_hz) / self.grid.step_hz).clamp(0.0, n as f64 - 1.001);
+            let (i, share) = (x.floor() as usize, x - x.floor());
+            for (node, share) in [(i, 1.0 - share), (i + 1, share)] {
+                let w = &mut weights[node];
+                let terms = [a.norm_sqr(), a.re, a.im, 1.0];
+                for (w, term) in w.iter_mut().zip(terms) {
+                    *w += share * power * term;
+                }
+            }
+        }
+        let h = self.strain[0].chunks_exact(n);
+        if !self.is_damped {
+            return h.map(|h| h.iter().zip(&weights).map(|(h, w)| w[0] * h.norm_sqr()).sum::<f64>().sqrt()).collect();
+        }
+        h.zip(self.strain[1].chunks_exact(n))
+            .map(|(h, p)| {
+                let term = |((h, p), w): ((&C64, &C64), &[f64; 4])| {
+                    let cross = h * p.conj();
+                    w[0] * h.norm_sqr() + 2.0 * (w[1] * cross.re - w[2] * cross.im) + w[3] * p.norm_sqr()
+                };
+                h.iter().zip(p).zip(&weights).map(term).sum::<f64>().max(0.0).sqrt()
+            })
+            .collect()
+    }
+}

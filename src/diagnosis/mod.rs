@@ -1,0 +1,51 @@
+//! Which effect does the declared model lack? Recalibration within tolerances, search over a catalogue of named effects,
+//! confirmation with the nonlinear column, choice on validation events, and honest silence.
+//!
+//! The search runs on a linear-equivalent column in the frequency domain ([`FastColumn`]) anchored at replays of the
+//! finite-element column: residuals come from the latter, derivatives from the former. Noise of the input sensor is in the
+//! cost, which therefore knows that a residual at a resonance of the column is worth little. Declared tolerances are
+//! nuisances of every test: only what they cannot explain may be called an effect, and the alarm thresholds are those
+//! of null twins of the same array.
+
+mod anchor;
+mod cost;
+mod comparison;
+mod curves;
+mod diagnose;
+mod fast_column;
+mod fit;
+mod interference;
+mod null_twins;
+mod operators;
+mod floor;
+mod noise;
+mod outcome;
+mod power;
+mod problem;
+mod responses;
+mod round;
+mod screen;
+mod search;
+mod settings;
+mod simulated;
+mod spectra;
+mod unknowns;
+mod verdict;
+
+pub use comparison::{Change, ErrorRow, Six, Summary};
+pub use curves::{Curve, Curves};
+pub use diagnose::diagnose;
+pub use fast_column::{FastColumn, Grid, March, element_count};
+pub use null_twins::{drawn, thresholds};
+pub use floor::noise_deviation_m_s2;
+pub use noise::noise;
+pub use outcome::{
+    Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
+    Verdict,
+};
+pub use power::{Confusion, Power, Sensitivity, power};
+pub use problem::{Event, NoiseSpectrum, Problem, Replay};
+pub use responses::Scene;
+pub use settings::DiagnoseSettings;
+pub use simulated::Disturbance;
+pub use unknowns::{Nuisance, nuisances};

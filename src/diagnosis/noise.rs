@@ -1,0 +1,180 @@
+//! Noise of each sensor from its own record: what it shows before the event, or beyond the band of the shaking.
+
+use super::problem::NoiseSpectrum;
+use crate::metrics::rms;
+use crate::numerics::filter;
+use crate::records::Record;
+use realfft::RealFftPlanner;
+use std::f64::consts::PI;
+
+/// Shortest quiet stretch before the event that tells noise, s.
+const QUIET_S: f64 = 4.0;
+/// Blocks by which the quiet stretch is followed, s.
+const BLOCK_S: f64 = 0.5;
+/// Growth of a block's RMS that ends the quiet stretch.
+const GROWTH: f64 = 1.6;
+/// Largest share of the peak that a quiet stretch may reach.
+const QUIET_SHARE: f64 = 0.1;
+/// Segments of the averaged spectrum, s.
+const SEGMENT_S: f64 = 2.56;
+/// Band without shaking, as shares of the highest frequency.
+const EMPTY_BAND: [f64; 2] = [0.86, 0.98];
+/// Smallest noise where only that band tells, as a share of the record's RMS.
+const SMALLEST_SHARE: f64 = 0.005;
+
+/// Noise of every sensor of `record`, the input sensor first.
+///
+/// ```text
+/// S(f) = 2 Δt / Σ w² · mean over segments of |F[w x](f)|²               (1)
+/// ```
+///
+/// over the stretch before the event where no sensor's RMS grows; where there is no such stretch of four seconds, the mean
+/// of (1) above 86 % of the highest frequency, taken as white.
+///
+/// Limits: instruments whose filters act below the highest frequency record less noise there than in the band of the
+/// shaking; then only records with a pre-event stretch tell it.
+/// Check:  `white_noise_is_found_with_and_without_a_pre_event_stretch`, `coloured_noise_keeps_its_colour`.
+/// Source: Welch (1967), doi 10.1109/TAU.1967.1161901.
+pub fn noise(record: &Record) -> Vec<NoiseSpectrum> {
+    let quiet = quiet_samples(record);
+    let of = |x: &[f64]| match quiet {
+        Some(n) => averaged(&x[..n], record.dt_s),
+        None => beyond_the_band(x, record.dt_s),
+    };
+    record.sensors().map(|s| of(&s.acceleration_m_s2)).collect()
+}
+
+/// Samples before the first block in which a sensor's motion grows; `None` where they are too few.
+fn quiet_samples(record: &Record) -> Option<usize> {
+    let block = (BLOCK_S / record.dt_s).round().max(1.0) as usize;
+    let quiet_of = |x: &[f64]| {
+        let fast = filter::zero_phase(x, record.dt_s, |f| 1.0 - 1.0 / (1.0 + (f / 0.5).powi(8)));
+        let peak = fast.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+        let blocks: Vec<f64> = fast.chunks_exact(block).map(rms).collect();
+        let mut sum = 0.0;
+        let grows = |(i, r): (usize, &f64)| {
+            let mean = if i == 0 { *r } else { sum / i as f64 };
+            sum += r;
+            *r > GROWTH * mean || *r > QUIET_SHARE * peak
+        };
+        // The block before the growth may already hold its beginning.
+        blocks.iter().enumerate().position(grows).unwrap_or(blocks.len()).saturating_sub(1) * block
+    };
+    let shortest = record.sensors().map(|s| quiet_of(&s.acceleration_m_s2)).min()?;
+    (shortest as f64 * record.dt_s >= QUIET_S).then_some(shortest)
+}
+
+/// (1).
+fn averaged(x: &[f64], dt_s: f64) -> NoiseSpectrum {
+    let length = ((SEGMENT_S / dt_s).round() as usize).clamp(2, x.len().max(2));
+    let window: Vec<f64> =
+        (0..length).map(|i| 0.5 - 0.5 * (2.0 * PI * (i as f64 + 0.5) / length as f64).cos()).collect();
+    let scale = 2.0 * dt_s / window.iter().map(|w| w * w).sum::<f64>();
+    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(length);
+    let mut spectrum = plan.make_output_vec();
+    let mut power = vec![0.0; spectrum.len()];
+    let mut count = 0.0;
+    let mut start = 0;
+    while start + length <= x.len() {
+        let segment = &x[start..start + length];
+        let mean = segment.iter().sum::<f64>() / length as f64;
+        let mut tapered: Vec<f64> = segment.iter().zip(&window).map(|(x, w)| (x - mean) * w).collect();
+        plan.process(&mut tapered, &mut spectrum).expect("buffers made by the plan itself");
+        power.iter_mut().zip(&spectrum).for_each(|(p, v)| *p += scale * v.norm_sqr());
+        count += 1.0;
+        start += length / 2;
+    }
+    power.iter_mut().for_each(|p| *p /= f64::max(count, 1.0));
+    // The mean was taken out of each segment.
+    power[0] = power.get(1).copied().unwrap_or(power[0]);
+    let smooth = |k: usize| {
+        let half = 1 + k / 5;
+        let range = k.saturating_sub(half)..(k + half + 1).min(power.len());
+        let n = range.len() as f64;
+        power[range].iter().sum::<f64>() / n
+    };
+    NoiseSpectrum { step_hz: 1.0 / (length as f64 * dt_s), power: (0..power.len()).map(smooth).collect() }
+}
+
+fn beyond_the_band(x: &[f64], dt_s: f64) -> NoiseSpectrum {
+    let spectrum = averaged(x, dt_s);
+    let highest = spectrum.power.len() as f64;
+    let empty = &spectrum.power[(EMPTY_BAND[0] * highest) as usize..(EMPTY_BAND[1] * highest).ceil() as usize];
+    let density = empty.iter().sum::<f64>() / empty.len().max(1) as f64;
+    let deviation = (density / (2.0 * dt_s)).sqrt().max(SMALLEST_SHARE * rms(x)).max(f64::MIN_POSITIVE.sqrt());
+    NoiseSpectrum::white(deviation, dt_s)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numerics::random;
+    use crate::records::Sensor;
+    use rand_distr::{Distribution, StandardNormal};
+
+    const DT_S: f64 = 0.01;
+
+    fn white(n: usize, label: &str) -> Vec<f64> {
+        let mut stream = random::stream(1, label);
+        (0..n).map(|_| StandardNormal.sample(&mut stream)).collect()
+    }
+
+    fn record(onset_s: f64, noise: &[Vec<f64>]) -> Record {
+        let motion = |i: usize, size: f64| {
+            let t = i as f64 * DT_S - onset_s;
+            if t < 0.0 { 0.0 } else { size * t.min(1.0) * (-t / 4.0).exp() * ((11.0 * t).sin() + (29.0 * t).cos()) }
+        };
+        let sensor = |s: usize| Sensor {
+            name: format!("s{s}"),
+            acceleration_m_s2: noise[s].iter().enumerate().map(|(i, v)| v + motion(i, 1.0 + s as f64)).collect(),
+        };
+        Record { event: "E".into(), component: "EW".into(), dt_s: DT_S, input: sensor(0), outputs: vec![sensor(1)] }
+    }
+
+    #[test]
+    fn white_noise_is_found_with_and_without_a_pre_event_stretch() {
+        let level = [0.004, 0.02];
+        let noise: Vec<Vec<f64>> =
+            (0..2).map(|s| white(4000, &format!("n{s}")).iter().map(|v| level[s] * v).collect()).collect();
+        for onset_s in [10.0, 0.0] {
+            let record = record(onset_s, &noise);
+            assert_eq!(quiet_samples(&record).is_some(), onset_s > 0.0);
+            let found = super::noise(&record);
+            for (spectrum, level) in found.iter().zip(level) {
+                let expected = 2.0 * DT_S * level * level;
+                for f in [1.0, 3.0, 8.0] {
+                    let ratio = spectrum.at(f) / expected;
+                    assert!((0.5..2.0).contains(&ratio), "onset {onset_s} s, {f} Hz: {ratio}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn coloured_noise_keeps_its_colour() {
+        let red = |label: &str| {
+            let mut y = 0.0;
+            let step = |v: f64| {
+                y = 0.95 * y + 0.002 * v;
+                y
+            };
+            white(6000, label).into_iter().map(step).collect::<Vec<f64>>()
+        };
+        let found = super::noise(&record(40.0, &[red("a"), red("b")]));
+        let expected = |f: f64| {
+            let z = realfft::num_complex::Complex::from_polar(0.95, -2.0 * PI * f * DT_S);
+            2.0 * DT_S * (0.002 / (1.0 - z).norm()).powi(2)
+        };
+        for f in [1.0, 4.0, 20.0] {
+            let ratio = found[1].at(f) / expected(f);
+            assert!((0.6..1.6).contains(&ratio), "{f} Hz: {ratio}");
+        }
+    }
+
+    #[test]
+    fn a_record_that_is_all_shaking_or_silent_does_not_panic() {
+        let silent = vec![vec![0.0; 300]; 2];
+        assert!(super::noise(&record(0.0, &silent)).iter().all(|s| s.at(3.0).is_finite()));
+        assert_eq!(super::noise(&record(9.0, &silent)).len(), 2);
+    }
+}

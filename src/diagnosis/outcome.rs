@@ -1,0 +1,183 @@
+//! What a diagnosis says: verdict, named effects, what else was considered, and what could still hide.
+
+use crate::effects::Class;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// The answer in a word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Verdict {
+    /// Nothing beyond the declared tolerances.
+    None,
+    /// Named effects explain what was there.
+    Known,
+    /// Effects of several kinds explain it alike.
+    Ambiguous,
+    /// There is structure that no named effect explains.
+    Unknown,
+}
+
+/// A parameter with its 95 % interval.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Estimate {
+    /// Value.
+    pub value: f64,
+    /// Unit; empty where there is none.
+    pub unit: String,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+}
+
+/// A named effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Found {
+    /// Name of the effect.
+    pub kind: String,
+    /// Where it sits, for people; empty for the whole column.
+    pub target: String,
+    /// What it acts on.
+    pub class: Class,
+    /// The `[[effects]]` table of the corrected manifest.
+    pub table: toml::Table,
+    /// Its parameters by name.
+    pub parameters: BTreeMap<String, Estimate>,
+    /// Fall of the cost on training and validation events less the charge, when it was added.
+    pub gain: f64,
+    /// Fall of the cost on the validation events alone.
+    pub validation_gain: f64,
+}
+
+/// An effect that was tried.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Candidate {
+    /// Name of the effect.
+    pub kind: String,
+    /// Where it sits.
+    pub target: String,
+    /// What it acts on.
+    pub class: Class,
+    /// Fall of the cost on training and validation events less the charge.
+    pub gain: f64,
+    /// Fall of the cost on the validation events alone.
+    pub validation_gain: f64,
+    /// Share of the recalibrated model's excess cost that it explains.
+    pub explained_share: f64,
+    /// The round of the forward search, from 1.
+    pub round: usize,
+    /// Whether the nonlinear column confirmed the number.
+    pub is_confirmed: bool,
+    /// Its `[[effects]]` table.
+    pub table: toml::Table,
+}
+
+/// A declared value that the records put outside its tolerance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ToleranceAlarm {
+    /// What is out of tolerance, for people.
+    pub what: String,
+    /// Distance from the declared value in prior standard deviations.
+    pub deviations: f64,
+    /// The estimate.
+    pub estimate: Estimate,
+}
+
+/// What of an effect could still hide below the alarm.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct UpperBound {
+    /// Name of the effect.
+    pub kind: String,
+    /// Where it would sit.
+    pub target: String,
+    /// Largest strength, in the unit of the parameter, that 95 % certainty leaves open.
+    pub parameter: String,
+    /// The bound.
+    pub value: f64,
+    /// Its unit.
+    pub unit: String,
+}
+
+/// Where structure remains: mean squared whitened residual, 1 where there is only noise.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Remainder {
+    /// Edges of the frequency bands, Hz.
+    pub edges_hz: Vec<f64>,
+    /// `[sensor][band]` over all events.
+    pub sensor_band: BTreeMap<String, Vec<f64>>,
+    /// By event and component, with the peak input acceleration in m/s².
+    pub event: Vec<EventRemainder>,
+}
+
+/// Remaining structure of one record.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct EventRemainder {
+    /// Event.
+    pub event: String,
+    /// Component.
+    pub component: String,
+    /// Peak acceleration of the input sensor, m/s².
+    pub input_pga_m_s2: f64,
+    /// Mean squared whitened residual.
+    pub level: f64,
+}
+
+/// Excess of the cost over its expectation, in standard deviations of a χ² of as many numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Excess {
+    /// Training events.
+    pub train: f64,
+    /// Validation events.
+    pub validation: f64,
+}
+
+/// `diagnosis.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Diagnosis {
+    /// The answer.
+    pub verdict: Verdict,
+    /// Effects that the records ask for, in the order they were found; empty without an alarm.
+    pub effects: Vec<Found>,
+    /// Kinds that explain the records about as well as what was named, the named ones included.
+    pub ambiguity: Vec<String>,
+    /// Recalibrated declared values as `[[effects]]`, without any new effect.
+    pub nuisances: Vec<toml::Table>,
+    /// The same, fitted together with the named effects.
+    pub corrected_nuisances: Vec<toml::Table>,
+    /// Effects that were fitted, best first within each round.
+    pub candidates: Vec<Candidate>,
+    /// Share of the recalibrated model's excess cost that the named effects explain.
+    pub explained_share: Option<f64>,
+    /// Share of the recalibrated model's residual that is coherent with the recorded input.
+    pub input_coherent_share: Option<f64>,
+    /// Excess of the declared, the recalibrated and the corrected model.
+    pub declared: Excess,
+    /// Excess of the recalibrated model.
+    pub recalibrated: Excess,
+    /// Excess of the corrected model.
+    pub corrected: Excess,
+    /// Declared values outside their tolerance.
+    pub tolerance_alarms: Vec<ToleranceAlarm>,
+    /// What could still hide, when nothing was found.
+    pub upper_bounds: Vec<UpperBound>,
+    /// Structure that remains after the correction.
+    pub remainder: Remainder,
+    /// Remarks for people.
+    pub notes: Vec<String>,
+}
+
+/// Alarm thresholds of one array, from null twins of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Thresholds {
+    /// Gain (after the charge) above which an effect is an alarm.
+    pub gain: f64,
+    /// Fall of the validation cost that an alarm needs as well.
+    pub validation_gain: f64,
+    /// Excess of the validation events above which structure remains.
+    pub excess: f64,
+    /// Prior standard deviations beyond which a declared value is out of tolerance.
+    pub deviations: f64,
+    /// Null twins behind these numbers.
+    pub twins: usize,
+    /// Gains of the best effect of each null twin, rising.
+    pub null_gains: Vec<f64>,
+}

@@ -1,0 +1,214 @@
+//! One round of the forward search: screen, fit the few, judge them on validation events, confirm the best.
+
+use super::anchor::Anchor;
+use super::screen::{Pass, Screened, screen};
+use super::search::{Model, Search};
+use crate::effects::Instance;
+use crate::error::Result;
+use crate::progress::Progress;
+use rayon::prelude::*;
+
+/// Steps of a joint fit, of a fit after a new anchor, and of a restart of the base.
+const STEPS: [usize; 3] = [6, 4, 8];
+/// Share of the best gain above which the runner-up is confirmed too.
+const CLOSE_SHARE: f64 = 0.7;
+/// Effects weaker than this many prior standard deviations are not effects.
+const TRIVIAL: f64 = 0.05;
+
+/// An effect fitted on top of the base.
+#[derive(Clone)]
+pub struct Fitted {
+    /// The effect added.
+    pub instance: Instance,
+    /// The model with it.
+    pub model: Model,
+    /// Gain after the charge.
+    pub gain: f64,
+    /// Fall of the validation cost.
+    pub validation_gain: f64,
+    /// Whether the nonlinear column confirmed it.
+    pub is_confirmed: bool,
+}
+
+/// What a round found.
+pub struct Round {
+    /// The base, restarted where an effect's fit led to better nuisances.
+    pub base: Model,
+    /// Effects, best first.
+    pub fitted: Vec<Fitted>,
+    /// Anchor of the best one.
+    pub anchor: Option<Anchor>,
+}
+
+/// The start of a round.
+pub struct Ground<'a> {
+    /// Declared values with the effects found so far, and its anchor: where large effects are screened; `None` skips it.
+    pub declared: Option<(&'a Model, &'a Anchor)>,
+    /// The best model so far.
+    pub base: Model,
+    /// Its anchor.
+    pub anchor: &'a Anchor,
+}
+
+impl Search<'_> {
+    /// One round on `ground`.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub fn round(&self, ground: Ground<'_>, progress: &dyn Progress) -> Result<Round> {
+        let Ground { declared, mut base, anchor } = ground;
+        let unknowns = self.unknowns(&base.effects);
+        let open: Vec<Instance> = self.instances.iter().filter(|i| !is_taken(i, &base.effects)).cloned().collect();
+        let mut starts: Vec<(usize, Vec<f64>)> = Vec::new();
+        if let Some((model, anchor)) = declared {
+            let (_, found) = screen(&self.fitter(anchor), &unknowns, &model.train, &open, Pass::Grid);
+            starts.extend(
+                self.picked(found, &open, self.settings.finalists)
+                    .into_iter()
+                    .map(|s| (s.instance, joined(model.x(), &s.start))),
+            );
+        }
+        let (_, found) = screen(&self.fitter(anchor), &unknowns, &base.train, &open, Pass::Score);
+        let few = self.settings.finalists.div_ceil(2) + 1;
+        starts.extend(self.picked(found, &open, few).into_iter().map(|s| (s.instance, joined(base.x(), &s.start))));
+        let mut fitted: Vec<Fitted> = starts
+            .par_iter()
+            .filter_map(|(index, x)| {
+                let instance = &open[*index];
+                let mut effects = base.effects.clone();
+                effects.push(instance.clone());
+                let model = self.settle(&effects, x, anchor, Some(&base), STEPS[0]).ok()?;
+                Some(Fitted { instance: instance.clone(), model, gain: 0.0, validation_gain: 0.0, is_confirmed: false })
+            })
+            .collect();
+        self.restart(&mut base, &fitted, anchor)?;
+        self.judge(&mut fitted, &base);
+        let anchor = self.confirm(&mut fitted, &base, progress)?;
+        Ok(Round { base, fitted, anchor })
+    }
+
+    /// The best of each kind, at most two places of it, `most` in all.
+    fn picked(&self, mut found: Vec<Screened>, open: &[Instance], most: usize) -> Vec<Screened> {
+        let charged = |s: &Screened| s.fall - self.charge() * parameters(&open[s.instance]);
+        found.sort_by(|a, b| charged(b).total_cmp(&charged(a)).then(a.instance.cmp(&b.instance)));
+        let mut picked: Vec<Screened> = Vec::new();
+        for screened in found {
+            let kind = open[screened.instance].kind;
+            if picked.iter().filter(|p| open[p.instance].kind == kind).count() < 2 {
+                picked.push(screened);
+            }
+            if picked.len() == most {
+                break;
+            }
+        }
+        picked
+    }
+
+    /// Where an effect's fit has led to nuisances that serve the base better than its own, the base moves there: without
+    /// that, an effect of no strength would take the credit.
+    fn restart(&self, base: &mut Model, fitted: &[Fitted], anchor: &Anchor) -> Result<()> {
+        let mut best: Vec<&Fitted> = fitted.iter().filter(|f| f.model.train.cost < base.train.cost - 5.0).collect();
+        best.sort_by(|a, b| a.model.train.cost.total_cmp(&b.model.train.cost));
+        let restarted: Vec<Model> = best
+            .par_iter()
+            .take(4)
+            .filter_map(|f| {
+                let x = &f.model.x()[..base.x().len()];
+                self.settle(&base.effects, x, anchor, Some(base), STEPS[2]).ok()
+            })
+            .collect();
+        for model in restarted {
+            if model.train.cost < base.train.cost - 1.0 {
+                *base = model;
+            }
+        }
+        Ok(())
+    }
+
+    /// Gains over `base`, best first; one entry for each instance.
+    fn judge(&self, fitted: &mut Vec<Fitted>, base: &Model) {
+        let level = fitted.iter().map(|f| f.model.level()).fold(base.level(), f64::min).max(1.0);
+        for f in fitted.iter_mut() {
+            let fall = (base.train.cost - f.model.train.cost) / level;
+            let validation = (base.validation_cost() - f.model.validation_cost()) / level;
+            let charge = self.charge() * parameters(&f.instance);
+            f.validation_gain = validation;
+            f.gain = fall + validation - charge;
+            if fall < charge || validation <= 0.0 || self.is_trivial(f) {
+                f.gain = f.gain.min(0.0) - 50.0;
+            }
+        }
+        fitted
+            .sort_by(|a, b| b.gain.total_cmp(&a.gain).then_with(|| a.model.train.cost.total_cmp(&b.model.train.cost)));
+        let mut seen: Vec<Instance> = Vec::new();
+        fitted.retain(|f| {
+            let is_new = !seen.contains(&f.instance);
+            if is_new {
+                seen.push(f.instance.clone());
+            }
+            is_new
+        });
+    }
+
+    fn is_trivial(&self, fitted: &Fitted) -> bool {
+        let Some(zero) = fitted.instance.zero() else { return false };
+        let x = fitted.model.x();
+        let own = &x[x.len() - zero.len()..];
+        let free = &fitted.instance.free;
+        free.iter()
+            .zip(own)
+            .zip(&zero)
+            .all(|((f, x), zero)| f.zero.is_none() || (x - zero).abs() < TRIVIAL * f.parameter.prior_sd)
+    }
+
+    /// Replays the best, and then whatever is close behind or has become the best, and fits again from there; the anchor
+    /// of the best.
+    fn confirm(&self, fitted: &mut Vec<Fitted>, base: &Model, progress: &dyn Progress) -> Result<Option<Anchor>> {
+        let mut anchors: Vec<(Instance, Anchor)> = Vec::new();
+        if self.replay.is_none() {
+            return Ok(None);
+        }
+        while anchors.len() < self.settings.confirmed + 1 {
+            let Some(index) = self.next_to_confirm(fitted, anchors.len()) else { break };
+            let f = &mut fitted[index];
+            let anchor = self.anchored(&f.model.effects, f.model.x())?;
+            let expected = f.model.cost();
+            f.model = self.settle(&f.model.effects, f.model.x(), &anchor, Some(&f.model), STEPS[1])?;
+            f.is_confirmed = true;
+            progress.note(&format!(
+                "{} {}: cost {expected:.0} expected, {:.0} after a replay",
+                f.instance.kind,
+                f.instance.place(),
+                f.model.cost()
+            ));
+            anchors.push((f.instance.clone(), anchor));
+            self.judge(fitted, base);
+        }
+        let best = fitted.first().filter(|f| f.is_confirmed).map(|f| &f.instance);
+        Ok(anchors.into_iter().find(|(instance, _)| Some(instance) == best).map(|(_, anchor)| anchor))
+    }
+
+    /// The best if it is not confirmed, else the first of another kind that is close behind.
+    fn next_to_confirm(&self, fitted: &[Fitted], done: usize) -> Option<usize> {
+        let best = fitted.first().filter(|f| f.gain > 0.0)?;
+        if !best.is_confirmed {
+            return Some(0);
+        }
+        let kinds: Vec<&str> = fitted.iter().filter(|f| f.is_confirmed).map(|f| f.instance.kind).collect();
+        let is_open = |f: &Fitted| f.gain >= CLOSE_SHARE * best.gain && !kinds.contains(&f.instance.kind);
+        if done < self.settings.confirmed { fitted.iter().position(is_open) } else { None }
+    }
+}
+
+/// Parameters that an effect is charged for: a discrete choice counts as one.
+pub fn parameters(instance: &Instance) -> f64 {
+    instance.free.len().max(1) as f64
+}
+
+fn is_taken(instance: &Instance, effects: &[Instance]) -> bool {
+    effects.iter().any(|e| e.kind == instance.kind && e.target == instance.target)
+}
+
+fn joined(x: &[f64], start: &[f64]) -> Vec<f64> {
+    x.iter().chain(start).copied().collect()
+}

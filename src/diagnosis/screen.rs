@@ -1,0 +1,257 @@
+//! Screening: what each effect would gain with the nuisances free to follow, linearly.
+
+use super::fit::{Fitter, ITERATIONS, Point, difference, gram, project};
+use super::unknowns::Unknowns;
+use crate::effects::Instance;
+use faer::linalg::solvers::{Llt, Solve};
+use faer::{Mat, Side};
+use rayon::prelude::*;
+
+/// Values of the strength tried between its bounds, the ends included.
+const GRID: usize = 9;
+
+/// A point with the derivatives of the nuisances: costs of other residuals, nuisances marginalised.
+///
+/// ```text
+/// c(r) = min over δ of |r + J δ|² + |n + δ|² = |r|² + |n|² − bᵀ M b,   b = Jᵀ r + n,   M = (I + JᵀJ)⁻¹      (1)
+/// ```
+///
+/// Limits: J is that of the point without the effect.
+/// Check:  `marginal_costs_are_those_of_the_explicit_minimum`.
+/// Source: Woodbury's identity; Pintelon and Schoukens (2012) for the cost.
+pub struct Marginal {
+    jacobian: Mat<f64>,
+    factor: Option<Llt<f64>>,
+    /// Nuisances of the point.
+    nuisances: Vec<f64>,
+}
+
+impl Marginal {
+    /// Derivatives of the nuisances at `point`, whose effects stay as they are.
+    pub fn new(fitter: &Fitter<'_>, unknowns: &Unknowns<'_>, point: &Point) -> Self {
+        let count = unknowns.nuisances.len();
+        let which: Vec<usize> = (0..count).collect();
+        Self::of(fitter.jacobian(unknowns, point, &which), point.x[..count].to_vec())
+    }
+
+    fn of(jacobian: Mat<f64>, nuisances: Vec<f64>) -> Self {
+        let normal = gram(&jacobian, &jacobian) + Mat::<f64>::identity(jacobian.ncols(), jacobian.ncols());
+        Self { factor: normal.llt(Side::Lower).ok(), jacobian, nuisances }
+    }
+
+    /// (1).
+    pub fn cost(&self, residual: &[f64]) -> f64 {
+        let mut b = project(&self.jacobian, residual);
+        b.iter_mut().zip(&self.nuisances).for_each(|(b, n)| *b += n);
+        let own: f64 = residual.iter().map(|r| r * r).sum::<f64>() + self.nuisances.iter().map(|n| n * n).sum::<f64>();
+        own - dot(&b, &self.solved(&b))
+    }
+
+    /// aᵀ C⁻¹ b with C = I + J Jᵀ.
+    pub fn product(&self, a: &[f64], b: &[f64]) -> f64 {
+        let (pa, pb) = (project(&self.jacobian, a), project(&self.jacobian, b));
+        dot(a, b) - dot(&pa, &self.solved(&pb))
+    }
+
+    /// Effect coordinates that minimise (1) for residuals `r` + `columns`·δ, and their normal matrix.
+    pub fn score(&self, residual: &[f64], columns: &Mat<f64>) -> Option<(Vec<f64>, Mat<f64>)> {
+        let p = columns.ncols();
+        let cross = gram(&self.jacobian, columns);
+        let mut b = project(&self.jacobian, residual);
+        b.iter_mut().zip(&self.nuisances).for_each(|(b, n)| *b += n);
+        let solved = self.solved(&b);
+        let direct = project(columns, residual);
+        let gradient: Vec<f64> =
+            (0..p).map(|j| direct[j] - cross.col(j).iter().zip(&solved).map(|(c, s)| c * s).sum::<f64>()).collect();
+        let mut normal = gram(columns, columns);
+        if let Some(factor) = &self.factor {
+            let reduced = factor.solve(&cross);
+            normal -= gram(&cross, &reduced);
+        }
+        let trace: f64 = (0..p).map(|i| normal[(i, i)]).sum();
+        for i in 0..p {
+            normal[(i, i)] += 1e-9 * trace + f64::MIN_POSITIVE;
+        }
+        let step = normal.llt(Side::Lower).ok()?.solve(Mat::from_fn(p, 1, |i, _| -gradient[i]));
+        Some(((0..p).map(|i| step[(i, 0)]).collect(), normal))
+    }
+
+    fn solved(&self, b: &[f64]) -> Vec<f64> {
+        match &self.factor {
+            Some(factor) => {
+                let x = factor.solve(Mat::from_fn(b.len(), 1, |i, _| b[i]));
+                (0..b.len()).map(|i| x[(i, 0)]).collect()
+            }
+            None => vec![0.0; b.len()],
+        }
+    }
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+/// A screened effect.
+#[derive(Debug, Clone)]
+pub struct Screened {
+    /// Index among the instances.
+    pub instance: usize,
+    /// Its coordinates where it gains most.
+    pub start: Vec<f64>,
+    /// Fall of the marginal cost, before any charge.
+    pub fall: f64,
+}
+
+/// How an effect is screened.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Pass {
+    /// A grid over the strength, for large effects.
+    Grid,
+    /// One Gauss–Newton step from its absence.
+    Score,
+}
+
+/// Screens every instance at `point`.
+pub fn screen(
+    fitter: &Fitter<'_>,
+    unknowns: &Unknowns<'_>,
+    point: &Point,
+    instances: &[Instance],
+    pass: Pass,
+) -> (Marginal, Vec<Screened>) {
+    let marginal = Marginal::new(fitter, unknowns, point);
+    let drifted = fitter.drifted(unknowns, point);
+    let reference = marginal.cost(&point.residual);
+    let found = instances
+        .par_iter()
+        .enumerate()
+        .filter_map(|(index, instance)| {
+            let trial = Trial { fitter, unknowns, point, marginal: &marginal, drifted: &drifted, instance };
+            let (start, cost) = trial.best(pass)?;
+            Some(Screened { instance: index, start, fall: reference - cost })
+        })
+        .collect();
+    (marginal, found)
+}
+
+/// One instance tried on top of a point.
+struct Trial<'a> {
+    fitter: &'a Fitter<'a>,
+    unknowns: &'a Unknowns<'a>,
+    point: &'a Point,
+    marginal: &'a Marginal,
+    drifted: &'a [f64],
+    instance: &'a Instance,
+}
+
+impl Trial<'_> {
+    fn at(&self, coordinates: &[f64]) -> Option<Point> {
+        with_effect(self.fitter, self.unknowns, self.point, self.instance, coordinates)
+    }
+
+    /// Coordinates of least marginal cost, and that cost.
+    fn best(&self, pass: Pass) -> Option<(Vec<f64>, f64)> {
+        let bounds = self.instance.bounds();
+        let start = self.instance.zero().unwrap_or_else(|| self.instance.start());
+        let mut tries: Vec<Vec<f64>> = Vec::new();
+        if bounds.is_empty() {
+            tries.push(Vec::new());
+        } else {
+            if pass == Pass::Grid {
+                let [low, high] = bounds[0];
+                for k in 0..GRID {
+                    let mut x = start.clone();
+                    x[0] = low + (high - low) * k as f64 / (GRID - 1) as f64;
+                    if x[0] != start[0] {
+                        tries.push(x);
+                    }
+                }
+            }
+            tries.extend(self.scored(&start, &bounds));
+        }
+        let costs = tries.into_iter().filter_map(|x| {
+            let cost = self.marginal.cost(&self.at(&x)?.residual);
+            Some((x, cost))
+        });
+        costs.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The Gauss–Newton step of the strength; what only shapes the effect stays.
+    fn scored(&self, start: &[f64], bounds: &[[f64; 2]]) -> Option<Vec<f64>> {
+        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start, self.drifted)?;
+        let (delta, _) = self.marginal.score(&self.point.residual, &column)?;
+        let mut x = start.to_vec();
+        // A step to or across zero would say nothing about the effect.
+        x[0] = (x[0] + delta[0]).clamp(bounds[0][0], bounds[0][1]);
+        Some(x)
+    }
+}
+
+/// `point` with `instance` at `coordinates` on top; `None` where the column cannot be built.
+pub(super) fn with_effect(
+    fitter: &Fitter<'_>,
+    unknowns: &Unknowns<'_>,
+    point: &Point,
+    instance: &Instance,
+    coordinates: &[f64],
+) -> Option<Point> {
+    let mut effects = unknowns.effects.clone();
+    effects.push(instance.clone());
+    let unknowns = Unknowns { nuisances: unknowns.nuisances, effects };
+    let x: Vec<f64> = point.x.iter().chain(coordinates).copied().collect();
+    let found = fitter.at(&unknowns, &x, Some(&point.responses), ITERATIONS[2]).ok()?;
+    found.cost.is_finite().then_some(found)
+}
+
+/// ∂ρ/∂strength of `instance` at `start`, a column.
+pub(super) fn derivative(
+    fitter: &Fitter<'_>,
+    unknowns: &Unknowns<'_>,
+    point: &Point,
+    instance: &Instance,
+    start: &[f64],
+    drifted: &[f64],
+) -> Option<Mat<f64>> {
+    let free = instance.free.first()?;
+    let step = 0.1 * free.parameter.prior_sd;
+    let step = if start[0] + step > free.parameter.bounds()[1] { -step } else { step };
+    let mut moved = start.to_vec();
+    moved[0] += step;
+    let found = with_effect(fitter, unknowns, point, instance, &moved)?;
+    let column = difference(&found, point, drifted, step);
+    Some(Mat::from_fn(column.len(), 1, |i, _| column[i]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn marginal_costs_are_those_of_the_explicit_minimum() {
+        let jacobian = Mat::from_fn(5, 2, |i, j| ((i + 1) as f64 * (j as f64 + 0.7)).sin());
+        let nuisances = vec![0.4, -1.1];
+        let marginal = Marginal::of(jacobian.clone(), nuisances.clone());
+        let r = [0.3, -0.9, 1.4, 0.2, -0.5];
+        let explicit = |d: [f64; 2]| -> f64 {
+            let fit: f64 = (0..5).map(|i| (r[i] + jacobian[(i, 0)] * d[0] + jacobian[(i, 1)] * d[1]).powi(2)).sum();
+            fit + (nuisances[0] + d[0]).powi(2) + (nuisances[1] + d[1]).powi(2)
+        };
+        let mut least = f64::INFINITY;
+        for i in -400..=400 {
+            for j in -400..=400 {
+                least = least.min(explicit([i as f64 * 0.01, j as f64 * 0.01]));
+            }
+        }
+        let cost = marginal.cost(&r);
+        assert!(cost <= least && least - cost < 1e-3, "{cost} {least}");
+        // Adding a column and minimising over it too can only lower the cost, by what the score says.
+        let column = Mat::from_fn(5, 1, |i, _| (i as f64).cos());
+        let (step, _) = marginal.score(&r, &column).unwrap();
+        let moved = |s: f64| {
+            let with: Vec<f64> = (0..5).map(|i| r[i] + s * column[(i, 0)]).collect();
+            marginal.cost(&with)
+        };
+        assert!(moved(step[0]) < moved(step[0] + 0.01) && moved(step[0]) < moved(step[0] - 0.01));
+        assert!(moved(step[0]) < cost);
+    }
+}

@@ -1,0 +1,146 @@
+//! The ground the forward search stands on: models settled on training events and judged on validation events.
+
+use super::anchor::Anchor;
+use super::fit::{Fitter, ITERATIONS, Point};
+use super::problem::{Problem, Replay};
+use super::responses::Scene;
+use super::settings::DiagnoseSettings;
+use super::unknowns::{Nuisance, Unknowns, nuisances};
+use crate::effects::{self, Instance};
+use crate::error::{Error, Result};
+use crate::records::Split;
+
+/// Everything that stays the same during a diagnosis.
+pub struct Search<'a> {
+    /// The problem in the frequency domain.
+    pub scene: &'a Scene<'a>,
+    /// How to search.
+    pub settings: &'a DiagnoseSettings,
+    /// The nonlinear column; `None` lets the fast one stand alone.
+    pub replay: Option<&'a dyn Replay>,
+    /// What each effect could be here.
+    pub instances: Vec<Instance>,
+    /// Nuisances of every model.
+    pub nuisances: Vec<Nuisance>,
+    /// Groups to fit.
+    pub train: Vec<usize>,
+    /// Groups to judge by.
+    pub validation: Vec<usize>,
+}
+
+/// A model: effects, and their and the nuisances' estimates.
+#[derive(Clone)]
+pub struct Model {
+    /// Effects beyond the declared ones.
+    pub effects: Vec<Instance>,
+    /// At the estimate, training events.
+    pub train: Point,
+    /// At the same unknowns, validation events.
+    pub validation: Point,
+}
+
+impl Model {
+    /// The estimate.
+    pub fn x(&self) -> &[f64] {
+        &self.train.x
+    }
+
+    /// Σ|ρ|² of the validation events.
+    pub fn validation_cost(&self) -> f64 {
+        square(&self.validation.residual)
+    }
+
+    /// Cost with priors on training events plus Σ|ρ|² of the validation events.
+    pub fn cost(&self) -> f64 {
+        self.train.cost + self.validation_cost()
+    }
+
+    /// Mean squared whitened residual of all events.
+    pub fn level(&self) -> f64 {
+        let count = self.train.residual.len() + self.validation.residual.len();
+        (square(&self.train.residual) + self.validation_cost()) / count.max(1) as f64
+    }
+}
+
+/// Σ r².
+pub fn square(residual: &[f64]) -> f64 {
+    residual.iter().map(|r| r * r).sum()
+}
+
+impl<'a> Search<'a> {
+    /// Prepares the search on `scene`.
+    ///
+    /// # Errors
+    /// When there are no training or no validation events.
+    pub fn new(scene: &'a Scene<'a>, settings: &'a DiagnoseSettings, replay: Option<&'a dyn Replay>) -> Result<Self> {
+        let problem: &Problem = scene.problem;
+        let (train, validation) = (scene.of(Split::Train), scene.of(Split::Validation));
+        if train.is_empty() || validation.is_empty() {
+            let what = format!(
+                "a diagnosis needs training and validation events, got {} and {}",
+                train.len(),
+                validation.len()
+            );
+            return Err(Error::new(what).hint("name events in `records.train` and `records.validation`").usage());
+        }
+        Ok(Self {
+            scene,
+            settings,
+            replay,
+            instances: effects::instances(&problem.array),
+            nuisances: nuisances(problem)?,
+            train,
+            validation,
+        })
+    }
+
+    /// ln of the number of residuals: the charge per parameter.
+    pub fn charge(&self) -> f64 {
+        ((self.scene.n_residual(&self.train) + self.scene.n_residual(&self.validation)) as f64).ln()
+    }
+
+    /// Unknowns with these effects.
+    pub fn unknowns(&self, effects: &[Instance]) -> Unknowns<'_> {
+        Unknowns { nuisances: &self.nuisances, effects: effects.to_vec() }
+    }
+
+    /// A fitter on the training events.
+    pub fn fitter<'b>(&'b self, anchor: &'b Anchor) -> Fitter<'b> {
+        Fitter { scene: self.scene, anchor, groups: &self.train }
+    }
+
+    /// Fits `effects` from `x` with at most `steps` steps (0: just looks) and judges the result.
+    ///
+    /// # Errors
+    /// When `x` cannot be evaluated.
+    pub fn settle(
+        &self,
+        effects: &[Instance],
+        x: &[f64],
+        anchor: &Anchor,
+        near: Option<&Model>,
+        steps: usize,
+    ) -> Result<Model> {
+        let unknowns = self.unknowns(effects);
+        let fitter = self.fitter(anchor);
+        let iterations = |near: Option<&Model>| if near.is_some() { ITERATIONS[1] } else { ITERATIONS[0] };
+        let start = fitter.at(&unknowns, x, near.map(|m| &m.train.responses), iterations(near))?;
+        let train = fitter.fit(&unknowns, start, steps)?;
+        let judge = Fitter { groups: &self.validation, ..fitter };
+        let validation = judge.at(&unknowns, &train.x, near.map(|m| &m.validation.responses), iterations(near))?;
+        Ok(Model { effects: effects.to_vec(), train, validation })
+    }
+
+    /// Replays the events at `model`; without a replay, the fast column is its own anchor.
+    ///
+    /// # Errors
+    /// When the replay is impossible.
+    pub fn anchored(&self, effects: &[Instance], x: &[f64]) -> Result<Anchor> {
+        let Some(replay) = self.replay else { return Ok(Anchor::fast(self.scene)) };
+        let unknowns = self.unknowns(effects);
+        let built = unknowns.build(&self.scene.problem.declared, x)?;
+        let all: Vec<usize> = (0..self.scene.groups.len()).collect();
+        let responses = self.scene.responses(&built, &all, None, ITERATIONS[0])?;
+        Anchor::replayed(self.scene, replay, &unknowns.tables(x), &responses)
+    }
+}

@@ -1,0 +1,74 @@
+//! How a diagnosis searches and decides: the manifest's `[diagnose]`.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+/// Search and decision of the diagnosis (manifest section `[diagnose]`).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct DiagnoseSettings {
+    /// Seed of the null twins.
+    pub seed: u64,
+    /// Lowest and highest frequency compared, Hz; the record's own time step may lower the upper one.
+    pub band_hz: [f64; 2],
+    /// Null twins from which the alarm thresholds are taken.
+    pub null_twins: usize,
+    /// Share of null twins that may raise an alarm.
+    pub false_alarm_share: f64,
+    /// Most effects named at once.
+    pub max_effects: usize,
+    /// Effects of each round fitted together with the nuisances.
+    pub finalists: usize,
+    /// Effects of each round confirmed with the finite-element column.
+    pub confirmed: usize,
+    /// Error of the column itself, as a share of its smoothed spectrum.
+    pub model_error: f64,
+    /// Explained share of the residual above which a verdict is `known`.
+    pub known_share: f64,
+    /// Explained share of the residual below which a verdict is `unknown`.
+    pub unknown_share: f64,
+    /// Gain within which two effects count as indistinguishable.
+    pub ambiguity: f64,
+}
+
+impl Default for DiagnoseSettings {
+    fn default() -> Self {
+        Self {
+            seed: 1,
+            band_hz: [0.2, 9.5],
+            null_twins: 60,
+            false_alarm_share: 0.025,
+            max_effects: 3,
+            finalists: 8,
+            confirmed: 2,
+            model_error: 0.01,
+            known_share: 0.8,
+            unknown_share: 0.5,
+            ambiguity: 10.0,
+        }
+    }
+}
+
+impl DiagnoseSettings {
+    /// What is out of range, as (key, sentence).
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut problems = Vec::new();
+        let mut check = |key: &str, value: f64, unit: &str, low: f64, high: f64| {
+            if !(value >= low && value <= high) {
+                problems.push((key.to_string(), format!("must be in {low}…{high}{unit}, got {value}")));
+            }
+        };
+        check("band_hz", self.band_hz[0], " Hz", 0.01, 100.0);
+        check("band_hz", self.band_hz[1], " Hz", self.band_hz[0] + 0.1, 100.0);
+        check("null_twins", self.null_twins as f64, "", 10.0, 10_000.0);
+        check("false_alarm_share", self.false_alarm_share, "", 0.001, 0.5);
+        check("max_effects", self.max_effects as f64, "", 1.0, 5.0);
+        check("finalists", self.finalists as f64, "", 1.0, 100.0);
+        check("confirmed", self.confirmed as f64, "", 1.0, 10.0);
+        check("model_error", self.model_error, "", 0.0, 1.0);
+        check("known_share", self.known_share, "", 0.0, 1.0);
+        check("unknown_share", self.unknown_share, "", 0.0, self.known_share);
+        check("ambiguity", self.ambiguity, "", 0.0, 1e6);
+        problems
+    }
+}

@@ -1,0 +1,173 @@
+//! What is estimated: nuisances with the priors of the declared tolerances, and the free parameters of effects.
+
+use super::problem::Problem;
+use crate::effects::{self, Array, Effect, Free, Instance, Parameter};
+use crate::error::{Error, Result};
+
+/// Prior standard deviation of the ln of a reference strain.
+const NONLINEARITY_LN: f64 = 0.15;
+/// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
+const COMMON_VELOCITY_LN: f64 = 0.01;
+/// Most depth ranges with a velocity of their own.
+const MAX_RANGES: usize = 20;
+
+/// A declared value that may be off within its tolerance.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Nuisance {
+    /// The effect that moves it; one free parameter.
+    pub instance: Instance,
+    /// Prior standard deviation of its coordinate.
+    pub deviation: f64,
+}
+
+impl Nuisance {
+    fn new(kind: &'static str, target: &[(&str, toml::Value)], deviation: f64) -> Result<Self> {
+        let parameter = parameter(kind)?;
+        let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
+        let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
+        Ok(Self { instance: Instance { kind, target, free }, deviation })
+    }
+
+    /// The parameter that moves.
+    pub fn parameter(&self) -> &'static Parameter {
+        self.instance.free[0].parameter
+    }
+
+    fn zero(&self) -> f64 {
+        self.parameter().coordinate(self.instance.free[0].zero.unwrap_or(0.0))
+    }
+
+    /// Its value `x` prior standard deviations from the declared one.
+    pub fn value(&self, x: f64) -> f64 {
+        self.parameter().value(self.zero() + self.deviation * x)
+    }
+
+    /// Its `[[effects]]` table there.
+    pub fn table(&self, x: f64) -> toml::Table {
+        self.instance.at(&[self.zero() + self.deviation * x])
+    }
+
+    /// For people.
+    pub fn what(&self) -> String {
+        format!("{} {}", self.instance.kind, self.instance.place()).trim().to_string()
+    }
+}
+
+/// The first parameter of `kind`.
+fn parameter(kind: &str) -> Result<&'static Parameter> {
+    effects::find(kind)?
+        .catalogue
+        .parameters
+        .first()
+        .ok_or_else(|| Error::new(format!("effect `{kind}` has no strength to be a nuisance")))
+}
+
+/// The nuisances of `problem`.
+///
+/// # Errors
+/// When an effect that stands for one is not registered.
+pub fn nuisances(problem: &Problem) -> Result<Vec<Nuisance>> {
+    let (array, t) = (&problem.array, &problem.tolerances);
+    let mut found = Vec::new();
+    for pair in ranges(array).windows(2) {
+        let target = [("top_m", pair[0].into()), ("bottom_m", pair[1].into())];
+        found.push(Nuisance::new("layer_velocity", &target, t.vs_ln)?);
+    }
+    let whole = [("top_m", 0.0.into()), ("bottom_m", array.profile.depth_m().into())];
+    found.push(Nuisance::new("layer_velocity", &whole, COMMON_VELOCITY_LN)?);
+    found.push(Nuisance::new("small_strain_damping", &[], t.damping_ln)?);
+    found.push(Nuisance::new("nonlinearity", &[], NONLINEARITY_LN)?);
+    for sensor in array.sensors() {
+        let target = [("sensor", sensor.into())];
+        found.push(Nuisance::new("sensor_gain", &target, t.gain_ln)?);
+        found.push(Nuisance::new("clock_offset", &target, t.clock_s)?);
+        if array.components.len() > 1 {
+            found.push(Nuisance::new("sensor_orientation", &target, t.orientation_deg)?);
+        }
+    }
+    found.retain(|n| n.deviation > 0.0);
+    Ok(found)
+}
+
+/// Depths between which velocities move together: the layers, or ranges of equal travel time where there are too many.
+fn ranges(array: &Array) -> Vec<f64> {
+    let layers = &array.profile.layers;
+    let travel_s: f64 = layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
+    let (mut depth_m, mut passed_s) = (0.0, 0.0);
+    let mut cuts = vec![0.0];
+    for (i, layer) in layers.iter().enumerate() {
+        depth_m += layer.thickness_m;
+        passed_s += layer.thickness_m / layer.vs_m_s;
+        let is_due = passed_s >= travel_s * cuts.len() as f64 / MAX_RANGES as f64;
+        if layers.len() <= MAX_RANGES || is_due || i + 1 == layers.len() {
+            cuts.push(depth_m);
+        }
+    }
+    cuts
+}
+
+/// Nuisances and effects estimated together; the vector holds nuisances in prior standard deviations, then coordinates.
+#[derive(Debug, Clone)]
+pub struct Unknowns<'a> {
+    /// Nuisances, always all of them.
+    pub nuisances: &'a [Nuisance],
+    /// Effects, in the order of their parameters.
+    pub effects: Vec<Instance>,
+}
+
+impl Unknowns<'_> {
+    /// Length of the vector.
+    pub fn len(&self) -> usize {
+        self.nuisances.len() + self.n_effect()
+    }
+
+    /// Free parameters of the effects.
+    pub fn n_effect(&self) -> usize {
+        self.effects.iter().map(|e| e.free.len()).sum()
+    }
+
+    /// `[[effects]]` tables at `x`, nuisances first.
+    pub fn tables(&self, x: &[f64]) -> Vec<toml::Table> {
+        let (nuisances, mut rest) = x.split_at(self.nuisances.len());
+        let mut tables: Vec<toml::Table> = self.nuisances.iter().zip(nuisances).map(|(n, x)| n.table(*x)).collect();
+        for effect in &self.effects {
+            let (own, others) = rest.split_at(effect.free.len());
+            tables.push(effect.at(own));
+            rest = others;
+        }
+        tables
+    }
+
+    /// Tables of the nuisances alone.
+    pub fn nuisance_tables(&self, x: &[f64]) -> Vec<toml::Table> {
+        self.nuisances.iter().zip(x).map(|(n, x)| n.table(*x)).collect()
+    }
+
+    /// The declared effects and those at `x`, built.
+    ///
+    /// # Errors
+    /// When a value is out of the range of its effect.
+    pub fn build(&self, declared: &[toml::Table], x: &[f64]) -> Result<Vec<Box<dyn Effect>>> {
+        let mut effects = effects::build_all(declared)?;
+        effects.extend(effects::build_all(&self.tables(x))?);
+        Ok(effects)
+    }
+
+    /// Moves `x` into the bounds: six prior standard deviations for a nuisance, its own for an effect.
+    pub fn clip(&self, x: &mut [f64]) {
+        let (nuisances, rest) = x.split_at_mut(self.nuisances.len());
+        for x in nuisances {
+            *x = x.clamp(-6.0, 6.0);
+        }
+        let bounds = self.effects.iter().flat_map(Instance::bounds);
+        for (x, [low, high]) in rest.iter_mut().zip(bounds) {
+            *x = x.clamp(low, high);
+        }
+    }
+
+    /// Steps of finite differences.
+    pub fn steps(&self) -> Vec<f64> {
+        let nuisances = self.nuisances.iter().map(|_| 0.2);
+        nuisances.chain(self.effects.iter().flat_map(|e| &e.free).map(|f| 0.05 * f.parameter.prior_sd)).collect()
+    }
+}

@@ -1,0 +1,249 @@
+//! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
+
+use super::diagnose::Path;
+use super::fit::Fitter;
+use super::outcome::{
+    Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound, Verdict,
+};
+use super::round::Fitted;
+use super::screen::{Marginal, derivative};
+use super::search::{Model, Search, square};
+use crate::effects::{self, Class};
+use crate::error::Result;
+use std::collections::BTreeMap;
+
+/// Edges of the bands of the remaining structure, Hz.
+const EDGES_HZ: [f64; 8] = [0.0, 0.5, 1.0, 2.0, 3.5, 5.0, 7.0, 100.0];
+/// Normal quantile of a two-sided 95 % interval.
+const TWO_SIDED: f64 = 1.96;
+
+/// Everything a diagnosis says.
+///
+/// # Errors
+/// When the last model cannot be evaluated.
+pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds) -> Result<Diagnosis> {
+    let fitter = search.fitter(&path.anchor);
+    let corrected = &path.corrected;
+    let unknowns = search.unknowns(&corrected.effects);
+    let deviations = fitter.deviations(&unknowns, &corrected.train);
+    let excess = [&path.declared, &path.recalibrated, corrected].map(excess);
+    let expected = search.expected_cost();
+    let lost = path.recalibrated.cost() - expected;
+    let explained_share = (!path.accepted.is_empty() && lost > 0.0)
+        .then(|| ((path.recalibrated.cost() - corrected.cost()) / lost).clamp(0.0, 1.0));
+    let ambiguity = ambiguity(search, path);
+    let mut notes = Vec::new();
+    let verdict = verdict(search, path, thresholds, explained_share, excess[2], &ambiguity, &mut notes);
+    let is_named = !path.accepted.is_empty();
+    let nuisances = unknowns.nuisance_tables(&path.recalibrated.x()[..search.nuisances.len()]);
+    let corrected_nuisances = unknowns.nuisance_tables(&corrected.x()[..search.nuisances.len()]);
+    let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
+    Ok(Diagnosis {
+        verdict,
+        effects: found(search, path, &deviations),
+        ambiguity: if is_named { ambiguity } else { Vec::new() },
+        nuisances,
+        corrected_nuisances,
+        candidates: path.candidates.clone(),
+        explained_share,
+        input_coherent_share: None,
+        declared: excess[0],
+        recalibrated: excess[1],
+        corrected: excess[2],
+        tolerance_alarms: tolerance_alarms(search, corrected, &deviations, thresholds),
+        upper_bounds,
+        remainder: remainder(search, corrected),
+        notes,
+    })
+}
+
+fn excess(model: &Model) -> Excess {
+    let of = |residual: &[f64], cost: f64| {
+        let n = residual.len() as f64;
+        (cost - n) / (2.0 * n).sqrt()
+    };
+    Excess {
+        train: of(&model.train.residual, model.train.cost),
+        validation: of(&model.validation.residual, model.validation_cost()),
+    }
+}
+
+/// Kinds whose gain in the first round came within `ambiguity` of the best.
+fn ambiguity(search: &Search<'_>, path: &Path) -> Vec<String> {
+    let Some(best) = path.first.first() else { return Vec::new() };
+    let mut kinds: Vec<String> = Vec::new();
+    for f in path.first.iter().filter(|f| best.gain - f.gain < search.settings.ambiguity && f.gain > 0.0) {
+        if !kinds.iter().any(|k| k == f.instance.kind) {
+            kinds.push(f.instance.kind.to_string());
+        }
+    }
+    kinds
+}
+
+fn verdict(
+    search: &Search<'_>,
+    path: &Path,
+    thresholds: &Thresholds,
+    explained: Option<f64>,
+    rest: Excess,
+    ambiguity: &[String],
+    notes: &mut Vec<String>,
+) -> Verdict {
+    let settings = search.settings;
+    let remains = rest.validation > thresholds.excess;
+    let Some(share) = explained.filter(|_| !path.accepted.is_empty()) else {
+        if !remains {
+            return Verdict::None;
+        }
+        notes.push(format!(
+            "structure remains on the validation events ({:.1} standard deviations, null twins stay below {:.1}), and no named effect pays for itself",
+            rest.validation, thresholds.excess
+        ));
+        return Verdict::Unknown;
+    };
+    if share < settings.unknown_share || (remains && share < settings.known_share) {
+        notes.push(format!(
+            "the named effects explain {:.0} % of the excess; what remains has no name in the catalogue",
+            100.0 * share
+        ));
+        return Verdict::Unknown;
+    }
+    if remains {
+        notes.push(format!("beside the named effects, {:.0} % of the excess remains", 100.0 * (1.0 - share)));
+    }
+    if ambiguity.len() > 1 {
+        let keys = ambiguity.iter().filter_map(|kind| {
+            let entry = effects::find(kind).ok()?;
+            Some(format!("`{kind}` shows by: {}", entry.catalogue.key))
+        });
+        notes.extend(keys);
+        return Verdict::Ambiguous;
+    }
+    Verdict::Known
+}
+
+fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
+    let mut at = search.nuisances.len();
+    let x = path.corrected.x();
+    let of = |(instance, accepted): (&effects::Instance, &Fitted)| {
+        let own = at..at + instance.free.len();
+        at = own.end;
+        let parameters = instance
+            .free
+            .iter()
+            .zip(own.clone())
+            .map(|(free, i)| {
+                let p = free.parameter;
+                let ends =
+                    [-1.0, 1.0].map(|sign| p.value(clamped(x[i] + sign * TWO_SIDED * deviations[i], p.bounds())));
+                let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
+                (p.name.to_string(), Estimate { value: p.value(x[i]), unit: p.unit.to_string(), ci95 })
+            })
+            .collect();
+        Found {
+            kind: instance.kind.to_string(),
+            target: instance.place(),
+            class: effects::find(instance.kind).map_or(Class::Soil, |e| e.catalogue.class),
+            table: instance.at(&x[own]),
+            parameters,
+            gain: accepted.gain,
+            validation_gain: accepted.validation_gain,
+        }
+    };
+    path.corrected.effects.iter().zip(&path.accepted).map(of).collect()
+}
+
+fn clamped(x: f64, [low, high]: [f64; 2]) -> f64 {
+    x.clamp(low, high)
+}
+
+fn tolerance_alarms(
+    search: &Search<'_>,
+    model: &Model,
+    deviations: &[f64],
+    thresholds: &Thresholds,
+) -> Vec<ToleranceAlarm> {
+    let of = |(i, nuisance): (usize, &super::unknowns::Nuisance)| {
+        let x = model.x()[i];
+        if x.abs() <= thresholds.deviations {
+            return None;
+        }
+        let half = TWO_SIDED * deviations[i];
+        let ci95 = [nuisance.value(x - half), nuisance.value(x + half)];
+        let unit = nuisance.parameter().unit.to_string();
+        Some(ToleranceAlarm {
+            what: nuisance.what(),
+            deviations: x,
+            estimate: Estimate { value: nuisance.value(x), unit, ci95 },
+        })
+    };
+    search.nuisances.iter().enumerate().filter_map(of).collect()
+}
+
+/// The strength of each effect that its 95 % interval leaves open, linear about the recalibrated model.
+fn upper_bounds(search: &Search<'_>, fitter: &Fitter<'_>, model: &Model) -> Vec<UpperBound> {
+    let unknowns = search.unknowns(&model.effects);
+    let marginal = Marginal::new(fitter, &unknowns, &model.train);
+    let drifted = fitter.drifted(&unknowns, &model.train);
+    let mut bounds: BTreeMap<(String, String), UpperBound> = BTreeMap::new();
+    for instance in &search.instances {
+        let (Some(free), Some(zero)) = (instance.free.first(), instance.zero()) else { continue };
+        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero, &drifted) else { continue };
+        let Some((step, normal)) = marginal.score(&model.train.residual, &column) else { continue };
+        let deviation = 1.0 / normal[(0, 0)].sqrt();
+        let size = step[0].abs() + TWO_SIDED * deviation;
+        let p = free.parameter;
+        let toward = if zero[0] + size <= p.bounds()[1] { zero[0] + size } else { p.bounds()[1] };
+        let bound = UpperBound {
+            kind: instance.kind.to_string(),
+            target: instance.place(),
+            parameter: p.name.to_string(),
+            value: p.value(toward),
+            unit: p.unit.to_string(),
+        };
+        bounds.entry((bound.kind.clone(), bound.target.clone())).or_insert(bound);
+    }
+    bounds.into_values().collect()
+}
+
+/// Mean squared whitened residuals by sensor and band, and by record.
+fn remainder(search: &Search<'_>, model: &Model) -> Remainder {
+    let array = &search.scene.problem.array;
+    let bands = EDGES_HZ.len() - 1;
+    let mut sums = vec![vec![[0.0; 2]; bands]; array.outputs.len()];
+    let mut event = Vec::new();
+    for (groups, residual) in [(&search.train, &model.train.residual), (&search.validation, &model.validation.residual)]
+    {
+        let mut at = 0;
+        for g in groups {
+            let group = &search.scene.groups[*g];
+            let mut own = vec![[0.0; 2]; group.records.len()];
+            for f in &group.frequencies_hz {
+                let band = EDGES_HZ.iter().rposition(|e| f >= e).unwrap_or(0).min(bands - 1);
+                for own in &mut own {
+                    for sums in &mut sums {
+                        let power = square(&residual[at..at + 2]);
+                        at += 2;
+                        for sum in [&mut sums[band], &mut *own] {
+                            sum[0] += power;
+                            sum[1] += 2.0;
+                        }
+                    }
+                }
+            }
+            for (record, [power, count]) in group.records.iter().zip(own) {
+                let of = &search.scene.problem.events[record.event];
+                event.push(EventRemainder {
+                    event: of.name.clone(),
+                    component: array.components.get(of.component()).cloned().unwrap_or_default(),
+                    input_pga_m_s2: of.input.iter().fold(0.0, |m, a| m.max(a.abs())),
+                    level: power / f64::max(count, 1.0),
+                });
+            }
+        }
+    }
+    let level = |[power, count]: [f64; 2]| if count > 0.0 { power / count } else { 1.0 };
+    let sensor_band =
+        array.outputs.iter().cloned().zip(sums.into_iter().map(|s| s.into_iter().map(level).collect())).collect();
+    Remainder { edges_hz: EDGES_HZ.to_vec(), sensor_band, event }
+}

@@ -1,0 +1,150 @@
+//! A line of constant frequency on one sensor: a machine nearby, or the mains.
+
+use super::{Array, Catalogue, Channel, Class, Effect, Entry, Free, Instance, Parameter, Scale};
+use crate::error::Result;
+use crate::numerics::random;
+use crate::registry;
+use rand::RngExt;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::f64::consts::TAU;
+
+pub(super) const ENTRY: Entry = Entry {
+    name: "machine_hum",
+    about: "one sensor records a line of constant frequency, from a machine or the mains",
+    build: |table| Ok(Box::new(registry::params::<MachineHum>(table)?.checked()?)),
+    schema: || schemars::schema_for!(MachineHum),
+    catalogue: Catalogue {
+        number: 20,
+        class: Class::Sensor,
+        parameters: PARAMETERS,
+        instances,
+        confused_with: &[],
+        key: "a line of constant envelope, incoherent with the input and there before the event",
+    },
+};
+
+const PARAMETERS: &[Parameter] = &[
+    Parameter {
+        name: "amplitude_m_s2",
+        unit: "m/s²",
+        zero: Some(0.0),
+        low: 0.0,
+        high: 0.5,
+        scale: Scale::Linear,
+        prior_sd: 0.05,
+        draw: [0.02, 0.06],
+        is_signed: false,
+    },
+    Parameter {
+        name: "frequency_hz",
+        unit: "Hz",
+        zero: None,
+        low: 0.5,
+        high: 20.0,
+        scale: Scale::Linear,
+        prior_sd: 5.0,
+        draw: [2.0, 9.0],
+        is_signed: false,
+    },
+];
+
+/// One instance a sensor, the input sensor too.
+fn instances(array: &Array) -> Vec<Instance> {
+    let free = || vec![Free::new(&PARAMETERS[0], 0.0), Free::new(&PARAMETERS[1], 5.0)];
+    array.sensors().map(|s| Instance::new(ENTRY.name, [("sensor", s.into())], free())).collect()
+}
+
+/// Adds a sine whose phase is another in each event and component.
+///
+/// ```text
+/// y(t) = x(t) + A sin(2π f t + φ)                                       (1)
+/// φ    = arg Σ y(t) exp(−i 2π f t) + π/2    where it is estimated        (2)
+/// ```
+///
+/// | symbol | field            | unit | range |
+/// |--------|------------------|------|-------|
+/// | A      | `amplitude_m_s2` | m/s² | 0…10  |
+/// | f      | `frequency_hz`   | Hz   | 0…200 |
+///
+/// φ of a twin comes from the names of event, component and sensor.
+///
+/// Limits: (2) takes the motion's own part at f for hum; it needs records of many periods.
+/// Check:  `a_hum_is_taken_out_of_the_record_that_carries_it`.
+/// Source: definition.
+#[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+struct MachineHum {
+    /// Name of the sensor.
+    sensor: String,
+    /// Frequency, Hz.
+    frequency_hz: f64,
+    /// Amplitude, m/s².
+    amplitude_m_s2: f64,
+}
+
+impl MachineHum {
+    fn checked(self) -> Result<Self> {
+        super::ranges(&[
+            ("frequency_hz", self.frequency_hz, 0.0, 200.0, "Hz"),
+            ("amplitude_m_s2", self.amplitude_m_s2, 0.0, 10.0, "m/s²"),
+        ])?;
+        Ok(self)
+    }
+
+    fn acts_on(&self, channel: &Channel<'_>) -> bool {
+        self.amplitude_m_s2 > 0.0 && channel.sensor == self.sensor
+    }
+
+    /// (1) without x.
+    fn sine(&self, channel: &Channel<'_>, phase: f64) -> Vec<f64> {
+        let angle = |i: usize| TAU * self.frequency_hz * i as f64 * channel.dt_s + phase;
+        (0..channel.acceleration_m_s2.len()).map(|i| self.amplitude_m_s2 * angle(i).sin()).collect()
+    }
+}
+
+impl Effect for MachineHum {
+    fn sensors(&self) -> Vec<&str> {
+        vec![&self.sensor]
+    }
+
+    fn interference(&self, channel: &Channel<'_>) -> Option<Vec<f64>> {
+        let label = format!("hum {} {} {}", channel.event, channel.component, channel.sensor);
+        let phase = TAU * random::stream(0, &label).random::<f64>();
+        self.acts_on(channel).then(|| self.sine(channel, phase))
+    }
+
+    fn estimated_interference(&self, channel: &Channel<'_>) -> Option<Vec<f64>> {
+        let phase = || {
+            let (mut re, mut im) = (0.0, 0.0);
+            for (i, y) in channel.acceleration_m_s2.iter().enumerate() {
+                let (sin, cos) = (TAU * self.frequency_hz * i as f64 * channel.dt_s).sin_cos();
+                re += y * cos;
+                im -= y * sin;
+            }
+            f64::atan2(im, re) + 0.25 * TAU // (2)
+        };
+        self.acts_on(channel).then(|| self.sine(channel, phase()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_hum_is_taken_out_of_the_record_that_carries_it() {
+        let effect = MachineHum { sensor: "top".into(), frequency_hz: 3.7, amplitude_m_s2: 0.04 };
+        let motion: Vec<f64> =
+            (0..3000).map(|i| 0.3 * (-((i as f64 - 900.0) / 200.0).powi(2)).exp() * (0.14 * i as f64).sin()).collect();
+        let channel = |x| Channel { sensor: "top", component: "EW", event: "E1", dt_s: 0.01, acceleration_m_s2: x };
+        let hum = effect.interference(&channel(&motion)).unwrap();
+        let record: Vec<f64> = motion.iter().zip(&hum).map(|(x, h)| x + h).collect();
+        let found = effect.estimated_interference(&channel(&record)).unwrap();
+        let worst = found.iter().zip(&hum).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst < 0.002, "{worst}");
+        let other = Channel { event: "E2", ..channel(&motion) };
+        assert_ne!(effect.interference(&other).unwrap()[0], hum[0]);
+        assert!(effect.interference(&Channel { sensor: "base", ..other }).is_none());
+    }
+}

@@ -1,0 +1,152 @@
+//! The whole catalogue: what holds for every effect.
+
+use super::*;
+use crate::column::{Analysis, Column, Layer, Rayleigh, Vertical};
+use std::collections::BTreeSet;
+
+fn array() -> Array {
+    let layer = |thickness_m: f64, vs_m_s: f64, law_kind: &str| Layer {
+        thickness_m,
+        density_kg_m3: 1900.0,
+        vs_m_s,
+        k0: 0.5,
+        law_kind: law_kind.into(),
+        law: toml::Table::new(),
+    };
+    Array {
+        profile: Profile {
+            layers: vec![layer(3.0, 130.0, "hyperbolic"), layer(4.0, 170.0, "sanisand"), layer(3.0, 220.0, "elastic")],
+            water_table_m: 1.5,
+            vertical: Vertical::Free,
+            rayleigh: Rayleigh { alpha_1_s: 0.1, beta_s: 1e-4 },
+            elements: 40,
+            features: Default::default(),
+        },
+        input: "base".into(),
+        outputs: vec!["mid".into(), "top".into()],
+        depths_m: vec![5.0, 0.0],
+        components: vec!["EW".into(), "NS".into()],
+    }
+}
+
+fn motions() -> Vec<Channels> {
+    let wave = |s: usize, c: usize| {
+        let sample = move |i: usize| {
+            let t = i as f64 * 0.01 - 0.02 * s as f64;
+            (0.5 + 0.4 * s as f64) * (-((t - 4.0) / 1.5).powi(2)).exp() * ((9.0 + 3.0 * c as f64) * t).sin()
+        };
+        (0..1200).map(sample).collect()
+    };
+    (0..3).map(|s| (0..2).map(|c| wave(s, c)).collect()).collect()
+}
+
+fn observed(array: &Array, motions: &[Channels], table: &toml::Table, direction: Direction) -> Vec<Channels> {
+    let sensors: Vec<String> = array.sensors().map(String::from).collect();
+    let depths: Vec<f64> = std::iter::once(array.profile.depth_m()).chain(array.depths_m.iter().copied()).collect();
+    let recording =
+        Recording { event: "E1", dt_s: 0.01, sensors: &sensors, depths_m: &depths, components: &array.components };
+    observe(&recording, motions, &build_all(std::slice::from_ref(table)).unwrap(), direction)
+}
+
+#[test]
+fn every_effect_of_zero_strength_leaves_everything_bit_identical() {
+    let (array, motions) = (array(), motions());
+    let situation = Situation { component: Some(1), order: Some(2.5) };
+    for instance in instances(&array) {
+        let Some(zero) = instance.zero() else { continue };
+        let table = instance.at(&zero);
+        let mut profile = array.profile.clone();
+        apply(std::slice::from_ref(&table), &mut profile, &situation).unwrap();
+        assert_eq!(profile, array.profile, "{table:?}");
+        for direction in [Direction::Distort, Direction::Predict, Direction::Clean, Direction::Undo] {
+            assert!(observed(&array, &motions, &table, direction) == motions, "{table:?} {direction:?}");
+        }
+        let effect = build(&table).unwrap();
+        assert_eq!(effect.depth_m("mid", 5.0), 5.0, "{table:?}");
+    }
+}
+
+#[test]
+fn every_effect_does_something_where_it_is_drawn_and_the_column_still_runs() {
+    let (array, motions) = (array(), motions());
+    let mut random = crate::numerics::random::stream(3, "catalogue test");
+    let mut seen = BTreeSet::new();
+    // A container is only looked for around a model that is restrained vertically.
+    let mut in_container = array.clone();
+    in_container.profile.vertical = Vertical::Restrained;
+    for instance in instances(&array).into_iter().chain(instances(&in_container)) {
+        let table = instance.draw(&mut random);
+        let mut profile = array.profile.clone();
+        let situation = Situation { component: Some(0), order: Some(2.0) };
+        apply(std::slice::from_ref(&table), &mut profile, &situation).unwrap_or_else(|e| panic!("{table:?}: {e}"));
+        let effect = build(&table).unwrap();
+        let acts = profile != array.profile
+            || observed(&array, &motions, &table, Direction::Distort) != motions
+            || effect.depth_m("mid", 5.0) != 5.0;
+        assert!(acts, "{table:?}");
+        assert_eq!(
+            find(instance.kind).unwrap().catalogue.class == Class::Sensor,
+            profile == array.profile && effect.arrival(0.0, 1.0).is_none(),
+            "{table:?}"
+        );
+        if seen.insert(instance.kind) {
+            let column = Column::new(&profile, &Analysis::default()).unwrap_or_else(|e| panic!("{table:?}: {e}"));
+            column.run(0.01, &motions[0][0][300..500], &mut |_| Ok(())).unwrap_or_else(|e| panic!("{table:?}: {e}"));
+        }
+    }
+    let missing: Vec<&str> = EFFECTS.iter().map(|e| e.name).filter(|name| !seen.contains(name)).collect();
+    assert!(missing.is_empty(), "no instance of {missing:?}");
+}
+
+#[test]
+fn what_a_sensor_does_is_undone() {
+    let (array, motions) = (array(), motions());
+    let mut random = crate::numerics::random::stream(5, "catalogue test");
+    for instance in instances(&array) {
+        if find(instance.kind).unwrap().catalogue.class != Class::Sensor && instance.kind != "surface_wave" {
+            continue;
+        }
+        let table = instance.draw(&mut random);
+        let recorded = observed(&array, &motions, &table, Direction::Distort);
+        let back = observed(&array, &recorded, &table, Direction::Undo);
+        for (undone, truth) in back.iter().flatten().zip(motions.iter().flatten()) {
+            let error: f64 = undone.iter().zip(truth).map(|(a, b)| (a - b).powi(2)).sum();
+            let size: f64 = truth.iter().map(|a| a * a).sum();
+            assert!((error / size).sqrt() < 0.05, "{table:?}: {}", (error / size).sqrt());
+        }
+    }
+}
+
+#[test]
+fn the_catalogue_is_consistent() {
+    let mut numbers = BTreeSet::new();
+    for entry in EFFECTS {
+        let catalogue = &entry.catalogue;
+        assert!(numbers.insert(catalogue.number), "number {} comes twice", catalogue.number);
+        for other in catalogue.confused_with {
+            assert!(find(other).is_ok() && *other != entry.name, "{} is confused with {other}", entry.name);
+        }
+        for parameter in catalogue.parameters {
+            let [low, high] = parameter.bounds();
+            let drawn = parameter.draw.map(|v| parameter.coordinate(v));
+            assert!(low < high && drawn.iter().all(|x| (low..=high).contains(x)), "{} {}", entry.name, parameter.name);
+            let zero = parameter.coordinate(parameter.zero.unwrap_or(parameter.draw[0]));
+            assert!((low..=high).contains(&zero), "{} {}", entry.name, parameter.name);
+            assert!((parameter.value(parameter.coordinate(3.0)) - 3.0).abs() < 1e-12);
+        }
+        for instance in (catalogue.instances)(&array()) {
+            assert_eq!(instance.kind, entry.name);
+            let names: Vec<&str> = instance.free.iter().map(|f| f.parameter.name).collect();
+            assert!(names.iter().all(|n| catalogue.parameters.iter().any(|p| p.name == *n)), "{}", entry.name);
+            build(&instance.at(&instance.start())).unwrap_or_else(|e| panic!("{}: {e}", entry.name));
+            check_names(&[instance.at(&instance.start())], &array()).unwrap();
+        }
+    }
+}
+
+#[test]
+fn a_sensor_that_does_not_exist_is_named_with_the_nearest() {
+    let table: toml::Table = toml::from_str("kind = 'sensor_gain'\nsensor = 'tpo'\nln_gain = 0.1").unwrap();
+    let error = check_names(&[table], &array()).unwrap_err();
+    assert!(error.to_string().contains("no sensor `tpo`") && error.hint_text().unwrap().contains("nearest: `top`"));
+}

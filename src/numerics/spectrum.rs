@@ -1,0 +1,105 @@
+//! A complex response of frequency on time series, without wrap-around.
+
+use super::filter::fast_length;
+use realfft::RealFftPlanner;
+use realfft::num_complex::Complex;
+use std::f64::consts::PI;
+
+/// Spectra of `series`, which share a length, are changed in place by `change(f_hz, spectra)` and transformed back.
+///
+/// ```text
+/// y = F⁻¹[ O(f) F[x] ],   F[x](f) = Σ x(t) exp(−i 2π f t)                (1)
+/// ```
+///
+/// Before and behind, a series goes on with its end value, which fades to zero over half its length, and as much again
+/// is zero: an echo of up to a series' length does not wrap around.
+///
+/// Limits: what a response brings in from before the first sample is the assumed continuation.
+/// Check:  `a_delay_moves_a_pulse_and_nothing_wraps_around`, `a_constant_and_its_ends_stay`.
+pub fn respond<const N: usize>(
+    series: [&[f64]; N],
+    dt_s: f64,
+    mut change: impl FnMut(f64, [Complex<f64>; N]) -> [Complex<f64>; N],
+) -> [Vec<f64>; N] {
+    let n = series.iter().map(|x| x.len()).max().unwrap_or(0);
+    if n == 0 {
+        return series.map(<[f64]>::to_vec);
+    }
+    let fade = n / 2 + 64;
+    let length = fast_length(2 * n + 2 * fade);
+    let mut planner = RealFftPlanner::<f64>::new();
+    let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+    let mut spectra = series.map(|x| {
+        let mut padded = continued(x, fade, length);
+        let mut spectrum = forward.make_output_vec();
+        forward.process(&mut padded, &mut spectrum).expect("buffers made by the plan itself");
+        spectrum
+    });
+    let d_f = 1.0 / (length as f64 * dt_s);
+    for k in 0..length / 2 + 1 {
+        let changed = change(k as f64 * d_f, std::array::from_fn(|i| spectra[i][k]));
+        for (spectrum, value) in spectra.iter_mut().zip(changed) {
+            spectrum[k] = value; // (1)
+        }
+    }
+    spectra.map(|mut spectrum| {
+        // A real series needs real end bins.
+        spectrum[0].im = 0.0;
+        if length.is_multiple_of(2) {
+            spectrum[length / 2].im = 0.0;
+        }
+        let mut back = inverse.make_output_vec();
+        inverse.process(&mut spectrum, &mut back).expect("buffers made by the plan itself");
+        back[fade..fade + n].iter().map(|v| v / length as f64).collect()
+    })
+}
+
+fn continued(x: &[f64], fade: usize, length: usize) -> Vec<f64> {
+    let mut padded = vec![0.0; length];
+    let (first, last) = (x[0], x[x.len() - 1]);
+    padded[fade..fade + x.len()].copy_from_slice(x);
+    for i in 0..fade {
+        let weight = 0.5 * (1.0 + (PI * (i + 1) as f64 / (fade + 1) as f64).cos());
+        padded[fade - 1 - i] = first * weight;
+        padded[fade + x.len() + i] = last * weight;
+    }
+    padded
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn delayed(x: &[f64], dt_s: f64, delay_s: f64) -> Vec<f64> {
+        let [y] = respond([x], dt_s, |f, [v]| [v * Complex::from_polar(1.0, -2.0 * PI * f * delay_s)]);
+        y
+    }
+
+    #[test]
+    fn a_delay_moves_a_pulse_and_nothing_wraps_around() {
+        let dt = 0.01;
+        let pulse = |t: f64| (-((t - 1.0) / 0.05).powi(2)).exp();
+        let x: Vec<f64> = (0..300).map(|i| pulse(i as f64 * dt)).collect();
+        for delay in [0.0137, -0.3, 1.5, 2.9] {
+            for (i, v) in delayed(&x, dt, delay).iter().enumerate() {
+                assert!((v - pulse(i as f64 * dt - delay)).abs() < 1e-9, "{delay} {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_constant_and_its_ends_stay() {
+        let y = delayed(&[2.0; 400], 0.01, 0.033);
+        assert!(y.iter().all(|v| (v - 2.0).abs() < 2e-3), "{:?}", y.iter().fold(0.0f64, |m, v| m.max((v - 2.0).abs())));
+    }
+
+    #[test]
+    fn series_are_mixed_at_each_frequency() {
+        let (x, y) = ([1.0, -2.0, 3.0, 0.5], [0.0, 1.0, 0.0, -1.0]);
+        let [a, b] = respond([&x, &y], 0.1, |_, [u, v]| [u + v, v * 2.0]);
+        for i in 0..4 {
+            assert!((a[i] - x[i] - y[i]).abs() < 1e-12 && (b[i] - 2.0 * y[i]).abs() < 1e-12);
+        }
+        assert_eq!(respond([&[]], 0.1, |_, v| v)[0], Vec::<f64>::new());
+    }
+}
