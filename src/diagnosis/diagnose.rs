@@ -62,7 +62,12 @@ impl Search<'_> {
     ///
     /// # Errors
     /// When a replay is impossible.
-    pub(super) fn walk(&self, declared_anchor: Anchor, thresholds: &Thresholds, progress: &dyn Progress) -> Result<Path> {
+    pub(super) fn walk(
+        &self,
+        declared_anchor: Anchor,
+        thresholds: &Thresholds,
+        progress: &dyn Progress,
+    ) -> Result<Path> {
         progress.start("diagnosis", 3 + self.settings.max_effects as u64);
         let zero = vec![0.0; self.nuisances.len()];
         let declared = self.settle(&[], &zero, &declared_anchor, None, 0)?;

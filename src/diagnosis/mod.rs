@@ -8,17 +8,17 @@
 //! of null twins of the same array.
 
 mod anchor;
-mod cost;
 mod comparison;
+mod cost;
 mod curves;
 mod diagnose;
 mod fast_column;
 mod fit;
+mod floor;
 mod interference;
+mod noise;
 mod null_twins;
 mod operators;
-mod floor;
-mod noise;
 mod outcome;
 mod power;
 mod problem;
@@ -36,9 +36,9 @@ pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use curves::{Curve, Curves};
 pub use diagnose::diagnose;
 pub use fast_column::{FastColumn, Grid, March, element_count};
-pub use null_twins::{drawn, thresholds};
 pub use floor::noise_deviation_m_s2;
 pub use noise::noise;
+pub use null_twins::{drawn, thresholds};
 pub use outcome::{
     Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
     Verdict,

@@ -3,7 +3,7 @@
 use super::artifact::{read_json, read_table, write_json};
 use super::evaluate::{self, Both, Evaluation};
 use super::motions::MotionSummary;
-use super::{dataset, distill, motions, pretrain, report_closing};
+use super::{dataset, distill, motions, pretrain, report_closing, source_study};
 use crate::error::{Context, Result};
 use crate::flare::{Calibration, Guard, SourceModel, SparseEncoder, reconstruct};
 use crate::metrics::{DAMPING, Quartiles, log_periods_s, median, psa, timewise_error_percent};
@@ -172,6 +172,7 @@ fn content(task: &Task<'_>, evaluation: &Evaluation, axis: evaluate::Axis) -> Re
         distill: Some(distill_content(task)?),
         calibrate: calibrate_content(task)?,
         closing: report_closing::content(task)?,
+        study: source_study::content(task)?,
         held_out: held_out(task, evaluation, axis)?,
         scores: scores(evaluation),
         timings: Vec::new(),
@@ -377,9 +378,18 @@ fn provenance(task: &Task<'_>) -> Result<Provenance> {
         records.remove("truth");
     }
     let mut stages = Vec::new();
-    for role in
-        ["motions", "simulate", "dataset", "pretrain", "distill", "calibrate", "evaluate", "diagnose", "compare"]
-    {
+    for role in [
+        "motions",
+        "simulate",
+        "dataset",
+        "pretrain",
+        "distill",
+        "calibrate",
+        "evaluate",
+        "diagnose",
+        "compare",
+        "study",
+    ] {
         if !task.has_input(role) {
             continue;
         }
