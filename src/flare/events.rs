@@ -2,8 +2,9 @@
 
 use super::adjoint::reverse;
 use super::case::{Event, amplitude_weights};
-use super::integrator::{Forcing, Trajectory, rollout};
+use super::integrator::{Forcing, Trajectory, rollout_limited};
 use super::kernels::{LANES, Lanes};
+use super::limits::Limits;
 use super::memory::Drive;
 use super::mlp::{Mlp, Tape};
 use super::model::{SourceModel, SparseEncoder};
@@ -51,7 +52,7 @@ impl<'a> Reader<'a> {
 pub struct Records<'a> {
     pub(super) reader: &'a Reader<'a>,
     pub(super) groups: Vec<Group>,
-    bound: f32,
+    limits: Limits,
     /// Predicted values of all events.
     pub(super) count: f64,
 }
@@ -97,7 +98,7 @@ impl<'a> Records<'a> {
                 Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
             })
             .collect();
-        Self { reader, groups, bound, count: count as f64 }
+        Self { reader, groups, limits: reader.model.shape.limits(bound), count: count as f64 }
     }
 
     /// Weighted mean squared rollout error, infinite when a rollout diverges and no gradient is asked for; with one
@@ -159,7 +160,7 @@ impl<'a> Records<'a> {
     pub(super) fn roll_out(&self, group: &Group, xi: &[f32]) -> Rolled {
         let library = self.reader.model.shape.library();
         let mut trajectory = Trajectory::default();
-        rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
+        rollout_limited(library, xi, &group.z0, &group.forcing, &self.limits, &mut trajectory);
         let n_step = group.forcing.n_step();
         let mut z = vec![0.0; group.n_lane * n_step * library.latent];
         from_lanes(&trajectory.z, library.latent, n_step, &mut z);

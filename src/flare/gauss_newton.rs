@@ -17,6 +17,9 @@ use super::library::Library;
 use super::normal::Normal;
 use super::penalty::Penalty;
 use super::settings::{CalibrateSettings, FreeTerms};
+use super::snapshot::Checkpoint;
+use crate::error::Result;
+use crate::progress::Progress;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 
@@ -150,6 +153,32 @@ impl Search {
         self.history.rows.push(row);
         new < (1.0 - SMALLEST_GAIN) * old
     }
+}
+
+/// Walks every walk from `start`, and returns the candidate best on the validation events.
+///
+/// # Errors
+/// When a checkpoint cannot be written.
+pub fn search(
+    problem: &Problem<'_>,
+    start: &Candidate,
+    checkpoint: &Checkpoint<'_>,
+    progress: &dyn Progress,
+) -> Result<(Candidate, History)> {
+    let settings = problem.settings;
+    let kept = checkpoint.as_ref().and_then(|(dir, print)| Search::load(dir, print));
+    let mut search = kept.unwrap_or_else(|| Search::new(start.clone()));
+    progress.start("calibrate", (settings.free_terms.len() * settings.penalty_ladder.len()) as u64);
+    progress.advance(search.rungs_done(settings) as u64);
+    while !search.is_done(settings) {
+        let before = search.rungs_done(settings);
+        search.advance(problem, start);
+        if let Some((dir, print)) = checkpoint {
+            search.save(dir, print)?;
+        }
+        progress.advance((search.rungs_done(settings) - before) as u64);
+    }
+    Ok((search.best, search.history))
 }
 
 impl Problem<'_> {
