@@ -33,7 +33,7 @@ impl Stage for Simulate {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
