@@ -1,7 +1,7 @@
 //! CPU time of one 15 s undrained Lotung motion, weak and strong, over the number of elements.
 
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use flare_pipe::column::{Analysis, Column, Layer, Profile, Rayleigh, Vertical};
+use flare_pipe::column::{Analysis, Column, Features, Layer, Profile, Rayleigh, Vertical};
 
 fn lotung(elements: usize) -> Column {
     let vs = [
@@ -22,6 +22,7 @@ fn lotung(elements: usize) -> Column {
         vertical: Vertical::Free,
         rayleigh: Rayleigh::default(),
         elements,
+        features: Features::default(),
     };
     Column::new(&profile, &Analysis::default()).expect("a column")
 }

@@ -38,13 +38,13 @@ impl Column {
         })
     }
 
-    /// Mass of the nodes above the base, kg/m², surface down.
-    pub fn node_mass_kg_m2(&self) -> &[f64] {
-        &self.mesh.mass
+    /// Mass of the nodes above the base, horizontally, kg/m², surface down.
+    pub fn node_mass_kg_m2(&self) -> Vec<f64> {
+        self.mesh.mass.iter().take(self.mesh.elements.len()).map(|m| m[0]).collect()
     }
 
     /// Mass-proportional damping of the same nodes on the velocity relative to the base, kg/(m² s).
-    pub fn node_damping_kg_m2_s(&self) -> &[f64] {
-        &self.mesh.mass_damping
+    pub fn node_damping_kg_m2_s(&self) -> Vec<f64> {
+        self.mesh.dashpot.iter().take(self.mesh.elements.len()).map(|d| d[0]).collect()
     }
 }

@@ -1,7 +1,8 @@
 //! Elements, nodal masses, the geostatic state, and the laws started from it.
 
-use super::{Profile, Vertical};
-use crate::error::Result;
+use super::features::Around;
+use super::{Profile, Structure, Vertical};
+use crate::error::{Error, Result};
 use crate::registry;
 use crate::soil::{LAWS, Law, Point};
 use crate::units::G_M_S2;
@@ -20,103 +21,158 @@ pub(super) struct Element {
     pub elastic_pa: [f64; 4],
     /// Bulk stiffness of the pore water; 0 above the water table.
     pub pore_pa: f64,
+    /// Shear stiffness of a container in parallel.
+    pub container_pa: f64,
     /// Stiffness-proportional damping, s.
     pub beta_s: f64,
 }
 
-/// Neighbouring elements of one law, with their geostatic memory point after point.
+/// Neighbouring elements of one law, with their geostatic memory as the law laid it out.
 pub(super) struct Stretch {
     pub elements: Range<usize>,
     pub law: Box<dyn Law>,
     pub start: Vec<f64>,
 }
 
-/// The discretised column.
+/// The discretised column. Nodes are numbered from the surface; the base is one of them only where it is compliant.
 pub(super) struct Mesh {
     pub elements: Vec<Element>,
     pub stretches: Vec<Stretch>,
-    /// Lumped mass per area of the nodes above the base, kg/m².
-    pub mass: Vec<f64>,
-    /// Mass-proportional damping of the same nodes, kg/(m² s).
-    pub mass_damping: Vec<f64>,
+    /// Lumped mass per area of the nodes, horizontal and vertical, kg/m².
+    pub mass: Vec<[f64; 2]>,
+    /// Dashpots between the nodes and the input motion: mass-proportional damping, a compliant base; kg/(m² s).
+    pub dashpot: Vec<[f64; 2]>,
+    pub structure: Structure,
     pub is_restrained: bool,
+    pub is_compliant: bool,
     pub frequency_hz: f64,
 }
 
 impl Mesh {
     pub fn new(profile: &Profile) -> Result<Self> {
-        let counts = elements_per_layer(profile);
+        let cuts = cuts(profile);
+        let stretches = stretches(profile, &cuts)?;
         let travel_s: f64 = profile.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
         let frequency_hz = 1.0 / (4.0 * travel_s);
+        let is_compliant = profile.features.base_impedance_ratio > 0.0;
+        let n_node = cuts.len() + usize::from(is_compliant);
         let mut mesh = Self {
-            elements: Vec::with_capacity(profile.elements),
-            stretches: Vec::new(),
-            mass: vec![0.0; profile.elements],
-            mass_damping: vec![0.0; profile.elements],
+            elements: Vec::with_capacity(cuts.len()),
+            stretches: Vec::with_capacity(stretches.len()),
+            mass: vec![[0.0; 2]; n_node],
+            dashpot: vec![[0.0; 2]; n_node],
+            structure: profile.features.structure,
             is_restrained: profile.vertical == Vertical::Restrained,
+            is_compliant,
             frequency_hz,
         };
-        let mut top_m = 0.0;
-        let mut total_pa = 0.0; // total vertical stress at the element's top
-        for (i, (layer, count)) in profile.layers.iter().zip(counts).enumerate() {
-            let is_new =
-                i == 0 || profile.layers[i - 1].law_kind != layer.law_kind || profile.layers[i - 1].law != layer.law;
-            if is_new {
-                let place = || format!("layer {} from the surface", i + 1);
-                let law = registry::find("soil law", LAWS, &layer.law_kind)
-                    .and_then(|entry| (entry.build)(layer.law.clone()))
-                    .map_err(|e| e.at(place()))?;
-                let n = mesh.elements.len();
-                mesh.stretches.push(Stretch { elements: n..n, law, start: Vec::new() });
-            }
-            let height_m = layer.thickness_m / count as f64;
-            let mass = layer.density_kg_m3 * height_m;
-            for _ in 0..count {
-                let depth_m = top_m + 0.5 * height_m;
-                let hydrostatic = WATER_KG_M3 * G_M_S2 * (depth_m - profile.water_table_m).max(0.0);
-                let vertical_pa = total_pa + 0.5 * mass * G_M_S2 - hydrostatic;
-                let point = Point {
-                    depth_m,
-                    density_kg_m3: layer.density_kg_m3,
-                    vs_m_s: layer.vs_m_s,
-                    vertical_pa,
-                    horizontal_pa: layer.k0 * vertical_pa,
-                };
-                mesh.push(profile, &point, height_m).map_err(|e| e.at(format!("layer {} from the surface", i + 1)))?;
-                total_pa += mass * G_M_S2;
-                top_m += height_m;
-            }
+        for (elements, law, around) in stretches {
+            mesh.push(profile, &cuts[elements], law, &around)?;
+        }
+        if let (true, Some(base), Some(layer)) = (is_compliant, mesh.dashpot.last_mut(), profile.layers.last()) {
+            base[0] += layer.density_kg_m3 * layer.vs_m_s / profile.features.base_impedance_ratio;
         }
         Ok(mesh)
     }
 
-    fn push(&mut self, profile: &Profile, point: &Point, height_m: f64) -> Result<()> {
-        let i = self.elements.len();
-        let stretch = self.stretches.last_mut().expect("a stretch begins before its elements");
-        stretch.elements.end = i + 1;
-        let n_state = stretch.law.n_state();
-        let at = stretch.start.len();
-        stretch.start.resize(at + n_state, 0.0);
-        let elastic_pa = stretch.law.start(point, &mut stretch.start[at..])?;
+    /// Adds the elements of one law, with their masses and dampers.
+    fn push(&mut self, profile: &Profile, cuts: &[Cut], law: Box<dyn Law>, around: &Around) -> Result<()> {
+        let points: Vec<Point> = cuts.iter().map(|cut| cut.point).collect();
+        let mut start = vec![0.0; law.n_state() * points.len()];
+        let mut elastic_pa = vec![[0.0; 4]; points.len()];
+        law.start_all(&points, &mut start, &mut elastic_pa).map_err(|(i, error)| error.at(place(cuts[i].layer)))?;
+        let first = self.elements.len();
+        let container = profile.features.container;
         // Rayleigh damping that gives the law's ratio at f and 5 f of the column.
         let (w1, w2) = (TAU * self.frequency_hz, 5.0 * TAU * self.frequency_hz);
-        let ratio = stretch.law.damping_ratio(point);
-        let alpha_1_s = profile.rayleigh.alpha_1_s + 2.0 * ratio * w1 * w2 / (w1 + w2);
-        let half = 0.5 * point.density_kg_m3 * height_m;
-        for node in i..(i + 2).min(self.mass.len()) {
-            self.mass[node] += half;
-            self.mass_damping[node] += half * alpha_1_s;
+        for (i, (cut, elastic_pa)) in (first..).zip(cuts.iter().zip(elastic_pa)) {
+            let Cut { point, height_m, .. } = cut;
+            let ratio = law.damping_ratio(point);
+            let alpha_1_s = profile.rayleigh.alpha_1_s + 2.0 * ratio * w1 * w2 / (w1 + w2);
+            let soil = 0.5 * point.density_kg_m3 * height_m;
+            let half = [soil + 0.5 * container.mass_kg_m2 * height_m / profile.depth_m(), soil];
+            for node in i..(i + 2).min(self.mass.len()) {
+                for (k, half) in half.into_iter().enumerate() {
+                    self.mass[node][k] += half;
+                    self.dashpot[node][k] += half * alpha_1_s;
+                }
+            }
+            self.elements.push(Element {
+                depth_m: point.depth_m,
+                height_m: *height_m,
+                vertical_pa: point.vertical_pa,
+                elastic_pa,
+                pore_pa: if point.depth_m > profile.water_table_m { law.pore_stiffness_pa() } else { 0.0 },
+                container_pa: container.stiffness_pa,
+                beta_s: if around.slips() { 0.0 } else { profile.rayleigh.beta_s + 2.0 * ratio / (w1 + w2) },
+            });
         }
-        self.elements.push(Element {
-            depth_m: point.depth_m,
-            height_m,
-            vertical_pa: point.vertical_pa,
-            elastic_pa,
-            pore_pa: if point.depth_m > profile.water_table_m { stretch.law.pore_stiffness_pa() } else { 0.0 },
-            beta_s: profile.rayleigh.beta_s + 2.0 * ratio / (w1 + w2),
-        });
+        self.stretches.push(Stretch { elements: first..self.elements.len(), law, start });
         Ok(())
     }
+}
+
+/// An element before it has a law.
+struct Cut {
+    layer: usize,
+    height_m: f64,
+    point: Point,
+}
+
+/// The layers cut into elements under their own weight, the structure's, and buoyancy.
+fn cuts(profile: &Profile) -> Vec<Cut> {
+    let mut cuts = Vec::with_capacity(profile.elements);
+    let mut top_m = 0.0;
+    let mut total_pa = profile.features.structure.mass_kg_m2 * G_M_S2; // total vertical stress at the element's top
+    for (i, (layer, count)) in profile.layers.iter().zip(elements_per_layer(profile)).enumerate() {
+        let height_m = layer.thickness_m / count as f64;
+        let mass = layer.density_kg_m3 * height_m;
+        for _ in 0..count {
+            let depth_m = top_m + 0.5 * height_m;
+            let hydrostatic = WATER_KG_M3 * G_M_S2 * (depth_m - profile.water_table_m).max(0.0);
+            let vertical_pa = total_pa + 0.5 * mass * G_M_S2 - hydrostatic;
+            let point = Point {
+                depth_m,
+                density_kg_m3: layer.density_kg_m3,
+                vs_m_s: layer.vs_m_s,
+                vertical_pa,
+                horizontal_pa: layer.k0 * vertical_pa,
+            };
+            cuts.push(Cut { layer: i, height_m, point });
+            total_pa += mass * G_M_S2;
+            top_m += height_m;
+        }
+    }
+    cuts
+}
+
+/// Runs of neighbouring elements with the same law and the same things around it.
+fn stretches(profile: &Profile, cuts: &[Cut]) -> Result<Vec<(Range<usize>, Box<dyn Law>, Around)>> {
+    let around = |cut: &Cut| {
+        let half_m = 0.5 * cut.height_m;
+        let kind = &profile.layers[cut.layer].law_kind;
+        profile.features.around(kind, cut.point.depth_m - half_m, cut.point.depth_m + half_m)
+    };
+    let mut found: Vec<(Range<usize>, Box<dyn Law>, Around)> = Vec::new();
+    for (i, cut) in cuts.iter().enumerate() {
+        let (layer, dress) = (&profile.layers[cut.layer], around(cut));
+        if let (Some(last), Some(before)) = (found.last_mut(), i.checked_sub(1)) {
+            let above = &profile.layers[cuts[before].layer];
+            if above.law_kind == layer.law_kind && above.law == layer.law && last.2 == dress {
+                last.0.end = i + 1;
+                continue;
+            }
+        }
+        let law = registry::find("soil law", LAWS, &layer.law_kind)
+            .and_then(|entry| (entry.build)(layer.law.clone()))
+            .map_err(|error: Error| error.at(place(cut.layer)))?;
+        found.push((i..i + 1, dress.dress(law), dress));
+    }
+    Ok(found)
+}
+
+fn place(layer: usize) -> String {
+    format!("layer {} from the surface", layer + 1)
 }
 
 /// Elements by thickness, at least one a layer, largest remainders first; the sum is `profile.elements`.

@@ -5,17 +5,31 @@
 //! relative to the base, which for a rigid base is the same equations as total displacement without the drift of an
 //! integrated base motion; everything handed out is **absolute** acceleration. Mass-proportional damping acts on the
 //! velocity relative to the base. Knows no files.
+//!
+//! On a compliant base ([`Features::base_impedance_ratio`] q > 0) the base is a node of its own, and the motion handed in
+//! is the outcrop's: with e^{iωt},
+//!
+//! ```text
+//! u_base + q τ_base / (iω ρV) = u_in,     that is  τ_base = (ρV/q) (u̇_in − u̇_base)              (1)
+//! ```
+//!
+//! a dashpot, ρV that of the deepest layer. Displacements and mass-proportional damping are then relative to the input.
+//! Limits: vertical incidence; the base stays fixed vertically. Check: `tests/verification/boundaries.rs` against the
+//! exact solution. Source: Lysmer & Kuhlemeyer (1969), doi 10.1061/JMCEA3.0001144.
 
 mod analysis;
 mod failure;
+mod features;
 mod linear;
 mod mesh;
+mod oscillator;
 mod profile;
 mod run;
 mod step;
 
 pub use analysis::Analysis;
 pub use failure::{Cause, Failure};
+pub use features::{Container, Features, RateZone, Slip, SofteningZone, Structure};
 pub use linear::Slice;
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
 pub use run::{Frame, RunSummary};

@@ -1,5 +1,6 @@
 //! The declared column as plain data: layers, water, base, damping. Effects edit it.
 
+use super::Features;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -18,6 +19,9 @@ pub struct Profile {
     pub rayleigh: Rayleigh,
     /// Number of elements, distributed over the layers by thickness; layer boundaries are kept.
     pub elements: usize,
+    /// What a plain layered column on a rigid base does not have.
+    #[serde(default)]
+    pub features: Features,
 }
 
 /// One soil layer.
@@ -91,6 +95,7 @@ impl Profile {
             let range = format!("{}…100000 (at least one per layer)", self.layers.len());
             problems.push(("elements".into(), format!("must be in {range}, got {}", self.elements)));
         }
+        problems.extend(self.features.problems(self.depth_m()));
         problems
     }
 }

@@ -9,7 +9,7 @@ use crate::error::Result;
 pub struct Frame<'a> {
     /// Time, s.
     pub time_s: f64,
-    /// Horizontal acceleration of the base, m/s².
+    /// Horizontal acceleration handed in, m/s²: that of a rigid base, of the outcrop of a compliant one.
     pub base_m_s2: f64,
     /// Absolute horizontal acceleration at the element centres, surface down, m/s².
     pub elements_m_s2: &'a [f64],
@@ -98,6 +98,8 @@ impl Column {
                                 Cut::Unbalanced { node, share } => (node, Cause::Unbalanced { share, step_s: dt }),
                                 Cut::Singular => (0, Cause::Singular),
                             };
+                            // A compliant base is a node without an element below.
+                            let element = element.min(self.mesh.elements.len() - 1);
                             return Err(fail(time_s, self.mesh.elements[element].depth_m, cause));
                         }
                     }

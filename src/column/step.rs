@@ -1,6 +1,7 @@
 //! One time increment: HHT-α, a linear predictor from the last tangent, then Newton's iteration.
 
 use super::Column;
+use super::oscillator::Oscillator;
 use crate::numerics::block_tridiagonal::BlockTridiagonal;
 use crate::soil::{Increment, Refusal, Response};
 
@@ -27,6 +28,7 @@ pub(super) struct Stepper<'a> {
     /// Shear strain since the geostatic state.
     pub gamma: Vec<f64>,
     matrix: BlockTridiagonal,
+    structure: Option<Oscillator>,
     /// Largest dynamic stress so far: the scale of the residual.
     scale_pa: f64,
 }
@@ -41,8 +43,8 @@ pub(super) enum Cut {
 impl<'a> Stepper<'a> {
     pub fn new(column: &'a Column, base_m_s2: f64) -> Self {
         let mesh = &column.mesh;
-        let n = mesh.elements.len();
-        let zero = vec![[0.0; 2]; n];
+        let (n, n_node) = (mesh.elements.len(), mesh.mass.len());
+        let zero = vec![[0.0; 2]; n_node];
         let state: Vec<Vec<f64>> = mesh.stretches.iter().map(|s| s.start.clone()).collect();
         let responses: Vec<Response> = mesh
             .elements
@@ -53,7 +55,7 @@ impl<'a> Stepper<'a> {
         Self {
             column,
             velocity: zero.clone(),
-            acceleration: vec![[-base_m_s2, 0.0]; n],
+            acceleration: vec![[-base_m_s2, 0.0]; n_node],
             trial_velocity: zero.clone(),
             trial_acceleration: zero.clone(),
             delta: zero.clone(),
@@ -67,7 +69,8 @@ impl<'a> Stepper<'a> {
             responses,
             eps_yy: vec![0.0; n],
             gamma: vec![0.0; n],
-            matrix: BlockTridiagonal::new(n),
+            matrix: BlockTridiagonal::new(n_node),
+            structure: Oscillator::new(&mesh.structure, base_m_s2),
             scale_pa: 1e-7 * deepest_pa.max(1.0),
         }
     }
@@ -78,7 +81,10 @@ impl<'a> Stepper<'a> {
         let analysis = &self.column.analysis;
         self.delta.fill([0.0; 2]);
         self.trial_responses.copy_from_slice(&self.responses);
-        self.increments.fill(Increment::default());
+        self.increments.fill(Increment { dt_s: dt, ..Increment::default() });
+        if let Some(structure) = &mut self.structure {
+            structure.begin();
+        }
         // Predictor: the step solved with the tangent and stress of the last accepted state.
         self.assemble(dt);
         self.residual(dt, base);
@@ -108,17 +114,17 @@ impl<'a> Stepper<'a> {
         let c_mass = 1.0 / (beta * dt * dt);
         let c_rate = gamma / (beta * dt);
         let m = &mut self.matrix;
-        for ((d, mass), damping) in m.diagonal.iter_mut().zip(&mesh.mass).zip(&mesh.mass_damping) {
-            let x = mass * c_mass + hht * c_rate * damping;
-            *d = [x, 0.0, 0.0, x];
+        for ((d, mass), damping) in m.diagonal.iter_mut().zip(&mesh.mass).zip(&mesh.dashpot) {
+            let x = [0, 1].map(|k| mass[k] * c_mass + hht * c_rate * damping[k]);
+            *d = [x[0], 0.0, 0.0, x[1]];
         }
-        let n = mesh.elements.len();
+        let n = mesh.mass.len();
         for (i, (element, response)) in mesh.elements.iter().zip(&self.trial_responses).enumerate() {
             let t = response.tangent_pa;
             let viscous = c_rate * element.beta_s;
             let f = hht / element.height_m;
             let k = [
-                f * (t[0] + viscous * element.elastic_pa[0]),
+                f * (t[0] + element.container_pa + viscous * element.elastic_pa[0]),
                 f * t[1],
                 f * t[2],
                 f * (t[3] + element.pore_pa + viscous * element.elastic_pa[3]),
@@ -134,6 +140,18 @@ impl<'a> Stepper<'a> {
                 m.lower[i + 1] = m.upper[i];
             }
         }
+        if let Some(structure) = &mut self.structure {
+            m.diagonal[0][0] += structure.condensed(c_mass, hht, c_rate);
+        }
+        if mesh.is_compliant {
+            // The base stays where it is vertically.
+            let (above, base) = (&mut m.upper[n - 2], n - 1);
+            *above = [above[0], 0.0, above[2], 0.0];
+            let below = &mut m.lower[base];
+            *below = [below[0], below[1], 0.0, 0.0];
+            let own = &mut m.diagonal[base];
+            *own = [own[0], 0.0, 0.0, 1.0];
+        }
         if mesh.is_restrained {
             for block in m.lower.iter_mut().chain(&mut m.upper) {
                 *block = [block[0], 0.0, 0.0, 0.0];
@@ -146,8 +164,14 @@ impl<'a> Stepper<'a> {
 
     /// Solves for a correction of the displacement increment and derives the strain increments.
     fn correct(&mut self) -> Result<(), Cut> {
+        if let Some(structure) = &self.structure {
+            self.correction[0][0] += structure.condensed_residual();
+        }
         if !self.matrix.solve(&mut self.correction) {
             return Err(Cut::Singular);
+        }
+        if let Some(structure) = &mut self.structure {
+            structure.correct(self.correction[0][0]);
         }
         for (d, c) in self.delta.iter_mut().zip(&self.correction) {
             d[0] -= c[0];
@@ -189,8 +213,8 @@ impl<'a> Stepper<'a> {
                 new_v[k] = v[k] + dt * ((1.0 - gamma) * a[k] + gamma * new_a[k]);
             }
         }
-        for ((f, v), damping) in self.trial_force.iter_mut().zip(&self.trial_velocity).zip(&mesh.mass_damping) {
-            *f = [damping * v[0], damping * v[1]];
+        for ((f, v), damping) in self.trial_force.iter_mut().zip(&self.trial_velocity).zip(&mesh.dashpot) {
+            *f = [damping[0] * v[0], damping[1] * v[1]];
         }
         let mut dynamic_pa: f64 = 0.0;
         for (i, (element, response)) in mesh.elements.iter().zip(&self.trial_responses).enumerate() {
@@ -198,7 +222,9 @@ impl<'a> Stepper<'a> {
             let above = self.trial_velocity[i];
             let viscous = element.beta_s / element.height_m;
             let eps = self.eps_yy[i] + self.increments[i].eps_yy;
-            let tau = response.tau_pa + viscous * element.elastic_pa[0] * (below[0] - above[0]);
+            let gamma = self.gamma[i] + self.increments[i].gamma;
+            let tau = (response.tau_pa + element.container_pa * gamma)
+                + viscous * element.elastic_pa[0] * (below[0] - above[0]);
             let sigma = (response.sigma_yy_pa + element.vertical_pa)
                 + element.pore_pa * eps
                 + viscous * element.elastic_pa[3] * (below[1] - above[1]);
@@ -214,11 +240,17 @@ impl<'a> Stepper<'a> {
             self.scale_pa = self.scale_pa.max(dynamic_pa);
         }
         let (mut node, mut size) = (0, 0.0);
+        if let Some(structure) = &mut self.structure {
+            let surface = [self.delta[0][0], self.trial_velocity[0][0]];
+            let (traction, unbalanced) = structure.residual(dt, base, alpha, surface);
+            self.trial_force[0][0] -= traction;
+            size = unbalanced.abs();
+        }
         for (i, r) in self.correction.iter_mut().enumerate() {
             let (f, old, a) = (self.trial_force[i], self.force[i], self.trial_acceleration[i]);
-            r[0] = mesh.mass[i] * (a[0] + base) + (1.0 + alpha) * f[0] - alpha * old[0];
-            r[1] = mesh.mass[i] * a[1] + (1.0 + alpha) * f[1] - alpha * old[1];
-            if mesh.is_restrained {
+            r[0] = mesh.mass[i][0] * (a[0] + base) + (1.0 + alpha) * f[0] - alpha * old[0];
+            r[1] = mesh.mass[i][1] * a[1] + (1.0 + alpha) * f[1] - alpha * old[1];
+            if mesh.is_restrained || (mesh.is_compliant && i + 1 == n) {
                 r[1] = 0.0;
             }
             let worst = r[0].abs().max(r[1].abs());
@@ -230,6 +262,9 @@ impl<'a> Stepper<'a> {
     }
 
     fn accept(&mut self) {
+        if let Some(structure) = &mut self.structure {
+            structure.accept(self.delta[0][0]);
+        }
         std::mem::swap(&mut self.velocity, &mut self.trial_velocity);
         std::mem::swap(&mut self.acceleration, &mut self.trial_acceleration);
         std::mem::swap(&mut self.force, &mut self.trial_force);
@@ -243,6 +278,6 @@ impl<'a> Stepper<'a> {
 }
 
 /// Newmark's (β, γ) of the HHT method.
-fn newmark(alpha: f64) -> (f64, f64) {
+pub(super) fn newmark(alpha: f64) -> (f64, f64) {
     ((1.0 - alpha) * (1.0 - alpha) / 4.0, 0.5 - alpha)
 }

@@ -121,7 +121,7 @@ impl Specimen<'_> {
         let mut eps = 0.0;
         let mut outcome = Err(Refusal::Return);
         for _ in 0..8 {
-            outcome = self.law.update(Increment { gamma, eps_yy: eps }, &self.state, &mut self.trial);
+            outcome = self.law.update(Increment::new(gamma, eps), &self.state, &mut self.trial);
             let Ok(response) = &outcome else { break };
             if self.vertical == Vertical::Restrained {
                 break;

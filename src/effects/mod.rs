@@ -13,19 +13,25 @@ mod situation;
 mod ageing;
 mod baseline_tilt;
 mod clock_offset;
+mod compliant_base;
+mod container_boundary;
 mod directional_anisotropy;
 mod frequency_dependent_damping;
 mod instrument_high_pass;
 mod instrument_low_pass;
+mod interface_slip;
 mod layer_velocity;
 mod machine_hum;
 mod nonlinearity;
+mod pore_pressure;
+mod rate_dependence;
 mod sensor_depth;
 mod sensor_gain;
 mod sensor_orientation;
 mod sensor_polarity;
 mod small_strain_damping;
 mod stiff_crust;
+mod structure_interaction;
 mod surface_wave;
 mod swapped_channels;
 mod thin_seam;
@@ -129,6 +135,10 @@ pub const EFFECTS: &[Entry] = &[
     small_strain_damping::ENTRY,
     frequency_dependent_damping::ENTRY,
     nonlinearity::ENTRY,
+    pore_pressure::ENTRY,
+    interface_slip::ENTRY,
+    compliant_base::ENTRY,
+    structure_interaction::ENTRY,
     directional_anisotropy::ENTRY,
     sensor_gain::ENTRY,
     sensor_polarity::ENTRY,
@@ -144,6 +154,8 @@ pub const EFFECTS: &[Entry] = &[
     ageing::ENTRY,
     water_table::ENTRY,
     stiff_crust::ENTRY,
+    container_boundary::ENTRY,
+    rate_dependence::ENTRY,
 ];
 
 /// The registered effect `kind`.

@@ -121,7 +121,7 @@ mod tests {
         let mut tau = 0.0;
         for _ in 0..2000 {
             let mut next = state.clone();
-            let step = Increment { gamma: gamma / 2000.0, eps_yy: 0.0 };
+            let step = Increment::new(gamma / 2000.0, 0.0);
             tau = law.update(step, &state, &mut next).unwrap().tau_pa;
             state = next;
         }

@@ -1,7 +1,7 @@
 //! From the sections to what the domain works with: the profile of the column.
 
 use super::{ColumnSections, LayerSection};
-use crate::column::{Layer, Profile};
+use crate::column::{Features, Layer, Profile};
 use crate::effects::{self, Array, Situation};
 use crate::error::{Error, Result};
 
@@ -46,6 +46,7 @@ impl ColumnSections {
             vertical: self.site.vertical,
             rayleigh: self.site.rayleigh,
             elements: self.site.elements,
+            features: Features::default(),
         })
     }
 

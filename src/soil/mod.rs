@@ -3,13 +3,25 @@
 //! A law is an immutable value; the memory of every soil point is a slice that the column owns. Laws see plane-strain
 //! shear-column kinematics only: shear strain γ and vertical strain ε_yy, tension positive, ε_xx = ε_zz = 0. Stresses
 //! handed back are **effective**; the column adds the pore water.
+//!
+//! [`Scaled`] and [`Slider`] are laws around a law: they add softening, rate dependence or an interface that slips to
+//! any of the registered ones.
 
 mod cam_clay;
 mod elastic;
 mod hyperbolic;
 mod mohr_coulomb;
 mod principal;
+mod rate;
 mod sanisand;
+mod scaled;
+mod slider;
+mod softening;
+
+pub use rate::Rate;
+pub use scaled::{Scaled, Scaling};
+pub use slider::Slider;
+pub use softening::Softening;
 
 use crate::error::{Error, Result};
 use crate::registry::Entry;
@@ -53,6 +65,15 @@ pub struct Increment {
     pub gamma: f64,
     /// Δε_yy, vertical.
     pub eps_yy: f64,
+    /// Time it takes, s; only laws that depend on the rate look at it.
+    pub dt_s: f64,
+}
+
+impl Increment {
+    /// An increment at no particular rate.
+    pub fn new(gamma: f64, eps_yy: f64) -> Self {
+        Self { gamma, eps_yy, dt_s: 0.0 }
+    }
 }
 
 /// Stress at the end of the increment and its derivative, tension positive, effective.
@@ -98,13 +119,31 @@ pub trait Law: Send + Sync {
     /// When the law cannot exist at this stress (outside its strength, for example).
     fn start(&self, point: &Point, state: &mut [f64]) -> Result<[f64; 4]>;
 
+    /// [`Law::start`] of many points: elastic tangents to `elastic_pa`; the error names the first point refused.
+    ///
+    /// # Errors
+    /// When the law cannot exist at the stress of a point.
+    fn start_all(
+        &self,
+        points: &[Point],
+        state: &mut [f64],
+        elastic_pa: &mut [[f64; 4]],
+    ) -> Result<(), (usize, Error)> {
+        let memory = state.chunks_exact_mut(self.n_state());
+        for (i, ((point, elastic), state)) in points.iter().zip(elastic_pa).zip(memory).enumerate() {
+            *elastic = self.start(point, state).map_err(|error| (i, error))?;
+        }
+        Ok(())
+    }
+
     /// Response after `increment`, from `committed` memory to `trial` memory.
     ///
     /// # Errors
     /// When the increment is too large to follow.
     fn update(&self, increment: Increment, committed: &[f64], trial: &mut [f64]) -> Result<Response, Refusal>;
 
-    /// [`Law::update`] of many points, memory point after point; the error names the first point refused.
+    /// [`Law::update`] of many points, memory as [`Law::start_all`] laid it out (point after point, unless a law
+    /// overrides both); the error names the first point refused.
     ///
     /// # Errors
     /// When the increment of a point is too large to follow.

@@ -1,7 +1,7 @@
 //! Random layers, motions and parameters: never a panic, never a value that is not finite, failures typed.
 
 use crate::robustness::motion;
-use flare_pipe::column::{Analysis, Cause, Column, Layer, Profile, Rayleigh, Vertical};
+use flare_pipe::column::{Analysis, Cause, Column, Features, Layer, Profile, Rayleigh, Vertical};
 use proptest::prelude::*;
 
 fn any_layer() -> impl Strategy<Value = Layer> {
@@ -30,7 +30,7 @@ proptest! {
     ) {
         let vertical = if is_free { Vertical::Free } else { Vertical::Restrained };
         let rayleigh = Rayleigh { alpha_1_s: 0.0, beta_s: 1e-4 };
-        let profile = Profile { layers, water_table_m, vertical, rayleigh, elements: 24 };
+        let profile = Profile { layers, water_table_m, vertical, rayleigh, elements: 24, features: Features::default() };
         let analysis = Analysis { min_step_s: 1e-4, ..Analysis::default() };
         let Ok(column) = Column::new(&profile, &analysis) else { return Ok(()) };
         let mut frames = 0;

@@ -38,10 +38,10 @@ fn tangent_is_the_derivative_of_stress_for_every_law() {
     for kind in KINDS {
         let law = build(kind, if kind == "sanisand" { "tolerance = 1e-9\nmax_substeps = 100000" } else { "" });
         for (times, step) in [(3, 1e-5), (200, 2e-5), (300, -3e-5)] {
-            let along = Increment { gamma: step, eps_yy: 1e-8 };
+            let along = Increment::new(step, 1e-8);
             let (_, state) = follow(law.as_ref(), &point(), along, times);
             // SANISAND's tangent is the rate at the end of the increment: compared over a small one.
-            let base = if kind == "sanisand" { Increment { gamma: 0.01 * step, eps_yy: 1e-10 } } else { along };
+            let base = if kind == "sanisand" { Increment::new(0.01 * step, 1e-10) } else { along };
             let mut next = state.clone();
             let mut at = |i: Increment| law.update(i, &state, &mut next).expect("a response");
             let tangent = at(base).tangent_pa;
@@ -76,7 +76,7 @@ fn closed_cycles_create_no_energy() {
             for k in 1..=5 * n {
                 let phase = |k: usize| amplitude * (std::f64::consts::TAU * k as f64 / n as f64).sin();
                 let d = phase(k) - phase(k - 1);
-                let response = law.update(Increment { gamma: d, eps_yy: 0.0 }, &state, &mut next).expect("a response");
+                let response = law.update(Increment::new(d, 0.0), &state, &mut next).expect("a response");
                 work += 0.5 * (last_tau + response.tau_pa) * d;
                 last_tau = response.tau_pa;
                 largest = largest.max(response.tau_pa.abs());
@@ -92,7 +92,7 @@ fn paths_do_not_depend_on_the_step() {
     for kind in KINDS {
         let law = build(kind, "");
         let end = |pieces: usize| {
-            let up = Increment { gamma: 1e-3 / pieces as f64, eps_yy: -1e-6 / pieces as f64 };
+            let up = Increment::new(1e-3 / pieces as f64, -1e-6 / pieces as f64);
             follow(law.as_ref(), &point(), up, pieces).0.tau_pa
         };
         let (coarse, fine) = (end(20), end(2000));

@@ -1,6 +1,8 @@
 //! Physics of the column and its laws against closed forms, finite differences, convergence slopes and independent results.
 
 mod anything;
+mod around_a_law;
+mod boundaries;
 mod equilibrium;
 mod laws;
 mod masing;

@@ -17,7 +17,7 @@ fn walk(law: &dyn Law, corners: &[f64], pieces: usize) -> (Vec<f64>, f64) {
     for corner in corners {
         let d = (corner - gamma) / pieces as f64;
         for _ in 0..pieces {
-            let tau = law.update(Increment { gamma: d, eps_yy: 0.0 }, &state, &mut next).expect("a response").tau_pa;
+            let tau = law.update(Increment::new(d, 0.0), &state, &mut next).expect("a response").tau_pa;
             work += 0.5 * (tau + last) * d;
             last = tau;
             std::mem::swap(&mut state, &mut next);

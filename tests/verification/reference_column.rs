@@ -65,7 +65,7 @@ fn soil_points_follow_the_stress_of_the_independent_column() {
         let mut taus = Vec::new();
         for k in 0..reference[0].len() {
             let d = |c: usize| if k == 0 { 0.0 } else { reference[c][k] - reference[c][k - 1] };
-            let step = flare_pipe::soil::Increment { gamma: d(6), eps_yy: d(5) };
+            let step = flare_pipe::soil::Increment::new(d(6), d(5));
             taus.push(law.update(step, &state, &mut next).expect("a response").tau_pa / 1e3);
             std::mem::swap(&mut state, &mut next);
         }

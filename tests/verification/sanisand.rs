@@ -21,7 +21,7 @@ fn constant_volume(law: &dyn Law, gammas: &[f64]) -> Vec<(f64, f64)> {
     gammas
         .iter()
         .map(|gamma| {
-            let step = Increment { gamma: gamma - last, eps_yy: 0.0 };
+            let step = Increment::new(gamma - last, 0.0);
             last = *gamma;
             let response =
                 law.update(step, &state, &mut next).unwrap_or_else(|r| panic!("{r} at {gamma} from {state:?}"));
@@ -58,7 +58,7 @@ fn wide_registers_give_the_same_bytes_as_one_point_at_a_time() {
     let law = law("");
     let n = 21;
     let increments: Vec<Increment> =
-        (0..n).map(|i| Increment { gamma: 1e-4 * (f64::from(i) * 0.7).sin(), eps_yy: 1e-7 * f64::from(i) }).collect();
+        (0..n).map(|i| Increment::new(1e-4 * (f64::from(i) * 0.7).sin(), 1e-7 * f64::from(i))).collect();
     let mut old = vec![0.0; law.n_state() * n as usize];
     for state in old.chunks_exact_mut(law.n_state()) {
         law.start(&point(), state).expect("a start");
@@ -84,7 +84,7 @@ fn drained_shear_ends_on_the_critical_state() {
     law.start(&point(), &mut state).expect("a start");
     let mut next = state.clone();
     for _ in 0..30_000 {
-        let mut step = Increment { gamma: 1e-4, eps_yy: 0.0 };
+        let mut step = Increment::new(1e-4, 0.0);
         for _ in 0..6 {
             let response = law.update(step, &state, &mut next).expect("a response");
             step.eps_yy -= (response.sigma_yy_pa + 75e3) / response.tangent_pa[3];

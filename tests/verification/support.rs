@@ -1,6 +1,6 @@
 //! Profiles and runs that several verifications share.
 
-use flare_pipe::column::{Analysis, Column, Layer, Profile, Rayleigh, RunSummary, Vertical};
+use flare_pipe::column::{Analysis, Column, Features, Layer, Profile, Rayleigh, RunSummary, Vertical};
 
 /// A layer with a law table written as TOML.
 pub fn layer(thickness_m: f64, density_kg_m3: f64, vs_m_s: f64, law_kind: &str, law: &str) -> Layer {
@@ -10,7 +10,7 @@ pub fn layer(thickness_m: f64, density_kg_m3: f64, vs_m_s: f64, law_kind: &str, 
 
 /// A profile of these layers.
 pub fn profile(layers: Vec<Layer>, elements: usize, water_table_m: f64, rayleigh: Rayleigh) -> Profile {
-    Profile { layers, water_table_m, vertical: Vertical::Free, rayleigh, elements }
+    Profile { layers, water_table_m, vertical: Vertical::Free, rayleigh, elements, features: Features::default() }
 }
 
 /// α and β of Rayleigh damping with `ratio` at two frequencies.

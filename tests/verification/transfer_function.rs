@@ -4,24 +4,29 @@ use crate::support::{layer, profile, rayleigh, shake};
 use flare_pipe::column::{Analysis, Layer, Profile, Rayleigh};
 use std::f64::consts::{PI, TAU};
 
-type Complex = [f64; 2];
+/// Real and imaginary part.
+pub type Complex = [f64; 2];
 
-fn mul(a: Complex, b: Complex) -> Complex {
+/// a · b.
+pub fn mul(a: Complex, b: Complex) -> Complex {
     [a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]]
 }
 
-fn div(a: Complex, b: Complex) -> Complex {
+/// a / b.
+pub fn div(a: Complex, b: Complex) -> Complex {
     let d = b[0] * b[0] + b[1] * b[1];
     [(a[0] * b[0] + a[1] * b[1]) / d, (a[1] * b[0] - a[0] * b[1]) / d]
 }
 
-fn sqrt(a: Complex) -> Complex {
+/// √a.
+pub fn sqrt(a: Complex) -> Complex {
     let r = a[0].hypot(a[1]);
     let re = (0.5 * (r + a[0])).max(0.0).sqrt();
     [re, (0.5 * (r - a[0])).max(0.0).sqrt().copysign(a[1])]
 }
 
-fn cos_sin(a: Complex) -> (Complex, Complex) {
+/// cos a, sin a.
+pub fn cos_sin(a: Complex) -> (Complex, Complex) {
     let (s, c) = a[0].sin_cos();
     ([c * a[1].cosh(), -s * a[1].sinh()], [s * a[1].cosh(), c * a[1].sinh()])
 }
@@ -51,7 +56,7 @@ fn exact(profile: &Profile, f_hz: f64) -> Complex {
 }
 
 /// Fourier transform of samples at one frequency.
-fn transform(x: &[f64], dt_s: f64, f_hz: f64) -> Complex {
+pub fn transform(x: &[f64], dt_s: f64, f_hz: f64) -> Complex {
     let mut sum = [0.0; 2];
     for (k, x) in x.iter().enumerate() {
         let (s, c) = (TAU * f_hz * k as f64 * dt_s).sin_cos();
@@ -61,7 +66,7 @@ fn transform(x: &[f64], dt_s: f64, f_hz: f64) -> Complex {
 }
 
 /// A Ricker wavelet around `f_hz`.
-fn pulse(dt_s: f64, duration_s: f64, f_hz: f64) -> Vec<f64> {
+pub fn pulse(dt_s: f64, duration_s: f64, f_hz: f64) -> Vec<f64> {
     let n = (duration_s / dt_s).round() as usize + 1;
     (0..n)
         .map(|k| {
@@ -71,12 +76,14 @@ fn pulse(dt_s: f64, duration_s: f64, f_hz: f64) -> Vec<f64> {
         .collect()
 }
 
-fn two_layers(elements: usize, rayleigh: Rayleigh) -> Profile {
+/// 6 m of soft over 10 m of stiffer ground, linear.
+pub fn two_layers(elements: usize, rayleigh: Rayleigh) -> Profile {
     let layers = vec![layer(6.0, 1800.0, 120.0, "elastic", ""), layer(10.0, 2000.0, 220.0, "elastic", "")];
     profile(layers, elements, 1e3, rayleigh)
 }
 
-fn analysis(dt_s: f64) -> Analysis {
+/// Constant steps, solved tightly.
+pub fn analysis(dt_s: f64) -> Analysis {
     Analysis { initial_step_s: dt_s, max_step_s: dt_s, output_step_s: dt_s, tolerance: 1e-10, ..Analysis::default() }
 }
 
