@@ -2,8 +2,7 @@
 
 use super::problem::Replay;
 use super::responses::{Responses, Scene};
-use super::spectra::{SMOOTH_HZ, spectrum};
-use crate::effects::Effect;
+use super::spectra::SMOOTH_HZ;
 use crate::error::Result;
 use realfft::num_complex::Complex;
 
@@ -39,53 +38,40 @@ impl Anchor {
         Self { records: scene.groups.iter().map(|g| g.records.iter().map(|_| None).collect()).collect() }
     }
 
-    /// Replays the events under `tables` (built, with the declared ones before them: `effects`) and compares with the fast
-    /// column's `responses` there.
+    /// Replays the events under `tables` and compares with the fast column's `responses` there.
     ///
     /// # Errors
     /// When the replay is impossible.
     pub fn replayed(
         scene: &Scene<'_>,
         replay: &dyn Replay,
-        effects: &[Box<dyn Effect>],
         tables: &[toml::Table],
         responses: &Responses,
     ) -> Result<Self> {
         let replays = replay.replay(tables)?;
         let mut anchor = Self::fast(scene);
         for (g, group) in scene.groups.iter().enumerate() {
-            let inputs = scene.true_inputs(effects, g);
             for (r, record) in group.records.iter().enumerate() {
-                let (Some(Some(replayed)), Some(response)) =
-                    (replays.get(record.event), responses.records[g].get(r))
+                let (Some(Some(replayed)), Some(response)) = (replays.get(record.event), responses.records[g].get(r))
                 else {
                     continue;
                 };
-                anchor.records[g][r] =
-                    Some(compare(scene, g, &inputs[r], replayed, &response.transfer, &record.window));
+                let nonlinear: Vec<Vec<C64>> = replayed.iter().map(|x| scene.bins(g, r, x)).collect();
+                anchor.records[g][r] = Some(compare(&group.frequencies_hz, &nonlinear, &response.motion));
             }
         }
         Ok(anchor)
     }
 }
 
-fn compare(
-    scene: &Scene<'_>,
-    g: usize,
-    input: &[C64],
-    replayed: &[Vec<f64>],
-    transfer: &[C64],
-    window: &std::ops::Range<usize>,
-) -> RecordAnchor {
-    let frequencies_hz = &scene.groups[g].frequencies_hz;
+fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], motion: &[C64]) -> RecordAnchor {
     let (n, count) = (frequencies_hz.len(), replayed.len());
     let step_hz = frequencies_hz[1] - frequencies_hz[0];
-    let first = (frequencies_hz[0] / step_hz).round() as usize;
     let half = (SMOOTH_HZ / step_hz).round().max(1.0) as usize;
-    let mut anchor = RecordAnchor { factor: vec![C64::new(1.0, 0.0); n * count], rest: vec![C64::default(); n * count] };
-    for (s, history) in replayed.iter().enumerate() {
-        let nonlinear = spectrum(history, window, first, n);
-        let fast: Vec<C64> = (0..n).map(|k| transfer[k * count + s] * input[k]).collect();
+    let mut anchor =
+        RecordAnchor { factor: vec![C64::new(1.0, 0.0); n * count], rest: vec![C64::default(); n * count] };
+    for (s, nonlinear) in replayed.iter().enumerate() {
+        let fast: Vec<C64> = (0..n).map(|k| motion[k * count + s]).collect();
         for k in 0..n {
             let range = k.saturating_sub(half)..(k + half + 1).min(n);
             let cross: C64 = range.clone().map(|m| nonlinear[m] * fast[m].conj()).sum();
@@ -98,20 +84,4 @@ fn compare(
         }
     }
     anchor
-}
-
-impl Scene<'_> {
-    /// True base motions of group `g`: what the input sensor recorded with `effects` undone, `[record][bin]`.
-    pub fn true_inputs(&self, effects: &[Box<dyn Effect>], g: usize) -> Vec<Vec<C64>> {
-        let group = &self.groups[g];
-        let measured: Vec<Vec<C64>> = group.records.iter().map(|r| r.channels[self.source(effects, 0)].clone()).collect();
-        let mut inputs = measured.clone();
-        for (k, f) in group.frequencies_hz.iter().enumerate() {
-            let undone = self.input_operator(effects, *f);
-            for (r, record) in group.records.iter().enumerate() {
-                inputs[r][k] = self.mixed(&undone, g, record.event, |c| measured[c][k]);
-            }
-        }
-        inputs
-    }
 }

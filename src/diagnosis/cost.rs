@@ -1,8 +1,9 @@
 //! The errors-in-variables cost: residuals whitened by the noise of outputs and input as the model passes it on.
 
 use super::anchor::Anchor;
+use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
-use crate::effects::{Effect, Operator, Place};
+use crate::effects::Effect;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
 
@@ -13,11 +14,11 @@ type C64 = Complex<f64>;
 /// With all outputs of one event at one frequency in y and both components of the input in u,
 ///
 /// ```text
-/// r = y − A u_m − y₀,   Σ(θ) = S + A S_u Aᴴ,   ρ = √2 Σ^{−1/2} r,   cost = Σ |ρ|²                    (1)
+/// r = y − ŷ(θ, u_m),   Σ(θ) = S + A S_u Aᴴ,   ρ = √2 Σ^{−1/2} r,   cost = Σ |ρ|²                    (1)
 /// Σ^{−1/2} = (I − B̃ W B̃ᴴ) S^{−1/2},   B̃ = S^{−1/2} A S_u^{1/2},   G = B̃ᴴ B̃,   W = G⁻¹(I − (I + G)^{−1/2})   (2)
 /// ```
 ///
-/// A holds column, anchor and sensors. The true input is an unknown of its own, so there is no determinant of Σ in the cost.
+/// ŷ is the model's motion, cut as the record is; A = ∂ŷ/∂u_m holds column, anchor and sensors. The true input is an unknown of its own, so there is no determinant of Σ in the cost.
 ///
 /// Limits: noise of different sensors and bins independent; at most two components share the input.
 /// Check:  `whitening_is_the_inverse_square_root_of_the_covariance`.
@@ -33,28 +34,22 @@ pub fn whitened(
     parts.concat()
 }
 
-fn group(
-    scene: &Scene<'_>,
-    effects: &[Box<dyn Effect>],
-    responses: &Responses,
-    anchor: &Anchor,
-    g: usize,
-) -> Vec<f64> {
+fn group(scene: &Scene<'_>, effects: &[Box<dyn Effect>], responses: &Responses, anchor: &Anchor, g: usize) -> Vec<f64> {
     let group = &scene.groups[g];
     let n_sensor = scene.problem.array.outputs.len();
     let n_record = group.records.len();
     let removed = scene.estimated_interference(effects, g);
     let mut out = Vec::with_capacity(group.n_residual());
     let mut bin = Bin::new(n_record, n_record * n_sensor);
-    let arrives = |z: f64, f: f64| effects.iter().filter_map(|e| e.arrival(z, f)).sum::<C64>();
+    let all = Operators::new(scene, effects);
+    let inputs: Vec<Vec<C64>> = (0..n_record).map(|r| scene.true_input(effects, &all, g, r)).collect();
     let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
     for (k, f) in group.frequencies_hz.iter().enumerate() {
-        let undone = scene.input_operator(effects, *f);
-        let operators: Vec<Operator> =
-            scene.problem.array.outputs.iter().map(|name| scene.operator_of(effects, name, *f)).collect();
-        for (s, operator) in operators.iter().enumerate() {
-            let arrival = arrives(scene.problem.array.depths_m[s], *f);
+        let undone = all.input_undone(*f);
+        for s in 0..n_sensor {
+            let operator = &all.at(s + 1, *f);
+            let arrival = all.arrival(scene.problem.array.depths_m[s], *f);
             for r in 0..n_record {
                 let row = r * n_sensor + s;
                 bin.model[row].fill(C64::default());
@@ -64,24 +59,28 @@ fn group(
                     if weight == C64::default() {
                         continue;
                     }
-                    let mut motion = responses.records[g][q].transfer[k * n_sensor + s];
+                    let response = &responses.records[g][q];
+                    let at = k * n_sensor + s;
+                    // The true input has moved since the response was computed only where the column did not change.
+                    let moved = inputs[q][k] - response.input[k];
+                    let mut predicted = response.motion[at] + response.transfer[at] * moved;
+                    let mut motion = response.transfer[at];
                     if let Some(anchor) = &anchor.records[g][q] {
-                        motion *= anchor.factor[k * n_sensor + s];
-                        bin.residual[row] -= weight * anchor.rest[k * n_sensor + s];
+                        motion *= anchor.factor[at];
+                        predicted = predicted * anchor.factor[at] + anchor.rest[at];
                     }
-                    motion = (motion + arrival) * weight;
+                    predicted += arrival * inputs[q][k];
+                    motion += arrival;
+                    bin.residual[row] -= weight * predicted;
                     for p in 0..n_record {
-                        bin.model[row][p] += motion * entry(&undone, components[q], components[p]);
+                        bin.model[row][p] += weight * motion * entry(&undone, components[q], components[p]);
                     }
                 }
                 let record = &group.records[r];
                 let source = sources[s + 1];
-                bin.residual[row] += record.channels[source][k] - removed[r][source].as_ref().map_or(C64::default(), |x| x[k]);
-                for (p, other) in group.records.iter().enumerate() {
-                    let source = sources[0];
-                    let input =
-                        other.channels[source][k] - removed[p][source].as_ref().map_or(C64::default(), |x| x[k]);
-                    bin.residual[row] -= bin.model[row][p] * input;
+                bin.residual[row] += record.channels[source][k];
+                if let Some(added) = &removed[r][source] {
+                    bin.residual[row] -= added[k];
                 }
                 bin.noise[row] = record.noise[source][k];
             }
@@ -92,47 +91,6 @@ fn group(
         bin.whiten(&mut out);
     }
     out
-}
-
-/// Entry of an operator between two components; components beyond the second pass unchanged.
-pub(super) fn entry(operator: &Operator, to: usize, from: usize) -> C64 {
-    match (to, from) {
-        (0 | 1, 0 | 1) => operator.0[to][from],
-        _ if to == from => C64::new(1.0, 0.0),
-        _ => C64::default(),
-    }
-}
-
-impl Scene<'_> {
-    /// The channel on which the motion of `sensor` (0: input) was recorded.
-    pub fn source(&self, effects: &[Box<dyn Effect>], sensor: usize) -> usize {
-        let array = &self.problem.array;
-        let index = |name: &str| array.sensors().position(|s| s == name);
-        let mut at = sensor;
-        for (a, b) in effects.iter().filter_map(|e| e.exchange()) {
-            if let (Some(a), Some(b)) = (index(a), index(b)) {
-                at = if at == a { b } else if at == b { a } else { at };
-            }
-        }
-        at
-    }
-
-    /// What undoes the input sensor at `frequency_hz`.
-    pub fn input_operator(&self, effects: &[Box<dyn Effect>], frequency_hz: f64) -> Operator {
-        self.operator_of(effects, &self.problem.array.input, frequency_hz).undone()
-    }
-
-    /// What the sensor `name` makes of the motion.
-    pub fn operator_of(&self, effects: &[Box<dyn Effect>], name: &str, frequency_hz: f64) -> Operator {
-        Self::operator(effects, &Place { sensor: name, components: &self.problem.array.components }, frequency_hz)
-    }
-
-    /// `operator` applied to the records of group `g`, for the component of `event`.
-    pub fn mixed(&self, operator: &Operator, g: usize, event: usize, value: impl Fn(usize) -> C64) -> C64 {
-        let to = self.problem.events[event].component();
-        let records = self.groups[g].records.iter().enumerate();
-        records.map(|(r, record)| entry(operator, to, self.problem.events[record.event].component()) * value(r)).sum()
-    }
 }
 
 /// One frequency of one event.
@@ -185,10 +143,8 @@ impl Bin {
             (kernel(g1 + step) - f1) / step
         };
         let alpha = f1 - beta * g1;
-        let w = [
-            b[0] * (alpha + beta * g00) + g01 * b[1] * beta,
-            b[1] * (alpha + beta * g11) + g01.conj() * b[0] * beta,
-        ];
+        let w =
+            [b[0] * (alpha + beta * g00) + g01 * b[1] * beta, b[1] * (alpha + beta * g11) + g01.conj() * b[0] * beta];
         for (row, r) in self.model.iter().zip(&self.residual) {
             let mut value = r - row[0] * w[0];
             if two {
@@ -214,11 +170,8 @@ mod tests {
     fn whitening_is_the_inverse_square_root_of_the_covariance() {
         let c = C64::new;
         let mut bin = Bin::new(2, 3);
-        bin.model = vec![
-            vec![c(2.0, 1.0), c(0.1, -0.3)],
-            vec![c(-0.5, 0.4), c(1.5, 0.2)],
-            vec![c(3.0, -2.0), c(0.3, 0.0)],
-        ];
+        bin.model =
+            vec![vec![c(2.0, 1.0), c(0.1, -0.3)], vec![c(-0.5, 0.4), c(1.5, 0.2)], vec![c(3.0, -2.0), c(0.3, 0.0)]];
         bin.residual = vec![c(0.4, -0.1), c(1.0, 0.7), c(-0.2, 0.5)];
         bin.noise = vec![0.5, 1.0, 0.2];
         bin.input_noise = vec![0.3, 0.8];

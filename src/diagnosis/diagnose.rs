@@ -46,6 +46,8 @@ pub(super) struct Path {
     pub candidates: Vec<Candidate>,
     /// The first round, best first.
     pub first: Vec<Fitted>,
+    /// What the corrected model was settled against.
+    pub anchor: Anchor,
 }
 
 impl Search<'_> {
@@ -68,13 +70,13 @@ impl Search<'_> {
             accepted: Vec::new(),
             candidates: Vec::new(),
             first: Vec::new(),
+            anchor,
         };
-        let mut anchor = anchor;
         for number in 1..=self.settings.max_effects {
-            let from_declared = path.declared_with_effects(self, &anchor, &declared_anchor)?;
-            let at = if number == 1 { &declared_anchor } else { &anchor };
+            let from_declared = path.declared_with_effects(self, &declared_anchor)?;
+            let at = if number == 1 { &declared_anchor } else { &path.anchor };
             let ground =
-                Ground { declared: Some((&from_declared, at)), base: path.corrected.clone(), anchor: &anchor };
+                Ground { declared: Some((&from_declared, at)), base: path.corrected.clone(), anchor: &path.anchor };
             let round = self.round(ground)?;
             if number == 1 {
                 path.recalibrated = round.base.clone();
@@ -97,9 +99,9 @@ impl Search<'_> {
             path.corrected = best.model.clone();
             path.accepted.push(best.clone());
             if let Some(confirmed) = round.anchor {
-                anchor = confirmed;
+                path.anchor = confirmed;
             }
-            self.drop_needless(&mut path, &anchor)?;
+            self.drop_needless(&mut path)?;
             if path.corrected.cost() <= self.expected_cost() {
                 break;
             }
@@ -120,7 +122,7 @@ impl Search<'_> {
     }
 
     /// Takes out effects that later ones have made needless.
-    fn drop_needless(&self, path: &mut Path, anchor: &Anchor) -> Result<()> {
+    fn drop_needless(&self, path: &mut Path) -> Result<()> {
         let mut index = 0;
         while path.accepted.len() > 1 && index + 1 < path.accepted.len() {
             let mut effects = path.corrected.effects.clone();
@@ -128,7 +130,7 @@ impl Search<'_> {
             let at = self.nuisances.len() + effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
             let mut x = path.corrected.x().to_vec();
             x.drain(at..at + dropped.free.len());
-            let without = self.settle(&effects, &x, anchor, Some(&path.corrected), STEPS[1])?;
+            let without = self.settle(&effects, &x, &path.anchor, Some(&path.corrected), STEPS[1])?;
             let level = path.corrected.level().max(1.0);
             if (without.cost() - path.corrected.cost()) / level < self.charge() * parameters(&dropped) {
                 path.corrected = without;
@@ -148,10 +150,10 @@ impl Search<'_> {
 
 impl Path {
     /// The effects so far with nuisances at their declared values.
-    fn declared_with_effects(&self, search: &Search<'_>, anchor: &Anchor, declared: &Anchor) -> Result<Model> {
+    fn declared_with_effects(&self, search: &Search<'_>, declared: &Anchor) -> Result<Model> {
         let mut x = self.corrected.x().to_vec();
         x[..search.nuisances.len()].fill(0.0);
-        let anchor = if self.accepted.is_empty() { declared } else { anchor };
+        let anchor = if self.accepted.is_empty() { declared } else { &self.anchor };
         search.settle(&self.corrected.effects, &x, anchor, Some(&self.corrected), 0)
     }
 

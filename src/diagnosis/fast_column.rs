@@ -103,8 +103,8 @@ impl FastColumn {
         }
         Ok(Self {
             elements: out,
-            mass: column.node_mass_kg_m2().to_vec(),
-            damping: column.node_damping_kg_m2_s().to_vec(),
+            mass: column.node_mass_kg_m2(),
+            damping: column.node_damping_kg_m2_s(),
             depth_m: coarse.depth_m(),
             travel_s: coarse.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum(),
         })

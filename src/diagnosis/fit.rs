@@ -59,7 +59,6 @@ impl Fitter<'_> {
         let columns: Vec<Vec<f64>> = which
             .par_iter()
             .map(|&i| {
-                let mut zero = || vec![0.0; point.residual.len()];
                 for sign in [1.0, -1.0] {
                     let mut x = point.x.clone();
                     x[i] += sign * steps[i];
@@ -73,7 +72,7 @@ impl Fitter<'_> {
                         return moved.residual.iter().zip(&point.residual).map(|(a, b)| (a - b) / step).collect();
                     }
                 }
-                zero()
+                vec![0.0; point.residual.len()]
             })
             .collect();
         Mat::from_fn(point.residual.len(), which.len(), |i, j| columns[j][i])

@@ -1,7 +1,6 @@
 //! What instruments add by themselves, estimated from the records that carry it.
 
 use super::responses::Scene;
-use super::spectra::spectrum;
 use crate::effects::{Channel, Effect};
 use realfft::num_complex::Complex;
 
@@ -11,10 +10,8 @@ impl Scene<'_> {
     /// Spectra to take out of the records of group `g`: `[record][channel]`, `None` where nothing was added.
     pub fn estimated_interference(&self, effects: &[Box<dyn Effect>], g: usize) -> Vec<Vec<Option<Vec<C64>>>> {
         let group = &self.groups[g];
-        let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
-        let first = (group.frequencies_hz[0] / step_hz).round() as usize;
         let array = &self.problem.array;
-        let of_record = |record: &super::spectra::RecordSpectra| {
+        let of_record = |(r, record): (usize, &super::spectra::RecordSpectra)| {
             let event = &self.problem.events[record.event];
             let component = array.components.get(event.component()).map_or("", String::as_str);
             let histories = std::iter::once(&event.input).chain(&event.outputs);
@@ -25,10 +22,10 @@ impl Scene<'_> {
                     a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
                     a
                 });
-                added.map(|x| spectrum(&x, &record.window, first, group.frequencies_hz.len()))
+                added.map(|x| self.bins(g, r, &x))
             };
             array.sensors().zip(histories).map(of_channel).collect()
         };
-        group.records.iter().map(of_record).collect()
+        group.records.iter().enumerate().map(of_record).collect()
     }
 }

@@ -7,19 +7,41 @@
 //! nuisances of every test: only what they cannot explain may be called an effect, and the alarm thresholds are those
 //! of null twins of the same array.
 
+mod anchor;
+mod cost;
 mod curves;
+mod diagnose;
 mod fast_column;
+mod fit;
+mod interference;
 mod noise;
+mod null_twins;
+mod operators;
 mod outcome;
+mod power;
 mod problem;
+mod responses;
+mod round;
+mod screen;
+mod search;
 mod settings;
+mod simulated;
+mod spectra;
+mod unknowns;
+mod verdict;
 
 pub use curves::{Curve, Curves};
+pub use diagnose::diagnose;
 pub use fast_column::{FastColumn, Grid, March, element_count};
 pub use noise::noise;
+pub use null_twins::{drawn, thresholds};
 pub use outcome::{
     Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
     Verdict,
 };
+pub use power::{Confusion, Power, Sensitivity, power};
 pub use problem::{Event, NoiseSpectrum, Problem, Replay};
+pub use responses::Scene;
 pub use settings::DiagnoseSettings;
+pub use simulated::Disturbance;
+pub use unknowns::{Nuisance, nuisances};

@@ -1,12 +1,13 @@
 //! Columns under effects: one linear-equivalent column for each situation, responses of every record at its bins.
 
 use super::curves::Curves;
-use super::fast_column::{FastColumn, Grid, element_count};
+use super::fast_column::{FastColumn, Grid, March, element_count};
+use super::operators::Operators;
 use super::problem::Problem;
 use super::settings::DiagnoseSettings;
 use super::spectra::{self, Group};
 use crate::column::Profile;
-use crate::effects::{Effect, Operator, Place, Situation};
+use crate::effects::{self, Effect, Situation};
 use crate::error::Result;
 use crate::records::Split;
 use rayon::prelude::*;
@@ -27,7 +28,7 @@ pub struct Scene<'a> {
     pub problem: &'a Problem,
     /// Events as spectra.
     pub groups: Vec<Group>,
-    curves: Curves,
+    curves: Arc<Curves>,
     elements: usize,
     band_hz: [f64; 2],
 }
@@ -42,11 +43,16 @@ pub struct Responses {
 /// Response of one record's column.
 pub struct RecordResponse {
     profile: Arc<Profile>,
+    column: Arc<FastColumn>,
     depths_m: Vec<f64>,
     /// Effective strains, surface down.
     pub strain: Vec<f64>,
     /// Motion of each output sensor's place over the base motion, `[bin][sensor]`.
     pub transfer: Vec<C64>,
+    /// True base motion, by bin.
+    pub input: Vec<C64>,
+    /// Motion of each output sensor's place under `input`, cut and tapered as the record is, `[bin][sensor]`.
+    pub motion: Vec<C64>,
 }
 
 impl<'a> Scene<'a> {
@@ -55,10 +61,28 @@ impl<'a> Scene<'a> {
     /// # Errors
     /// When an event is unusable.
     pub fn new(problem: &'a Problem, settings: &DiagnoseSettings) -> Result<Self> {
+        Self::with(problem, settings, Arc::default())
+    }
+
+    /// Prepares another problem of the same array, sharing the curves measured so far.
+    ///
+    /// # Errors
+    /// When an event is unusable.
+    pub fn sharing<'b>(&self, problem: &'b Problem, settings: &DiagnoseSettings) -> Result<Scene<'b>> {
+        Scene::with(problem, settings, self.curves.clone())
+    }
+
+    fn with(problem: &'a Problem, settings: &DiagnoseSettings, curves: Arc<Curves>) -> Result<Self> {
         let groups = spectra::groups(problem, settings)?;
         let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
         let elements = element_count(&problem.array.profile, high_hz);
-        Ok(Self { problem, groups, curves: Curves::default(), elements, band_hz: [settings.band_hz[0], high_hz] })
+        Ok(Self { problem, groups, curves, elements, band_hz: [settings.band_hz[0], high_hz] })
+    }
+
+    /// Spectrum of a history as record `r` of group `g` is seen: its window, its taper, its bins.
+    pub fn bins(&self, g: usize, r: usize, history: &[f64]) -> Vec<C64> {
+        let window = &self.groups[g].records[r].window;
+        self.windowed(g, history.get(window.clone()).unwrap_or_default())
     }
 
     /// Indices of the groups of `split`.
@@ -69,17 +93,6 @@ impl<'a> Scene<'a> {
     /// Number of whitened residuals of `groups`.
     pub fn n_residual(&self, groups: &[usize]) -> usize {
         groups.iter().map(|g| self.groups[*g].n_residual()).sum()
-    }
-
-    /// What the sensor at `place` makes of the motion at `frequency_hz`, all effects in order.
-    pub fn operator(effects: &[Box<dyn Effect>], place: &Place<'_>, frequency_hz: f64) -> Operator {
-        let mut all = Operator::IDENTITY;
-        for effect in effects {
-            if let Some(operator) = effect.response(place, frequency_hz) {
-                all = operator.after(&all);
-            }
-        }
-        all
     }
 
     /// Responses under `effects` for `groups` (others are left empty), strains iterated `iterations` times from those of
@@ -99,7 +112,7 @@ impl<'a> Scene<'a> {
             .outputs
             .iter()
             .zip(&array.depths_m)
-            .map(|(name, depth_m)| effects.iter().fold(*depth_m, |z, e| e.depth_m(name, z)))
+            .map(|(name, depth_m)| effects::depth_m(effects, name, *depth_m, array.profile.depth_m()))
             .collect();
         let mut columns: Vec<(Arc<Profile>, Arc<FastColumn>)> = Vec::new();
         let mut which: Vec<(usize, usize, usize)> = Vec::new();
@@ -120,19 +133,19 @@ impl<'a> Scene<'a> {
                 which.push((g, r, index));
             }
         }
+        let operators = Operators::new(self, effects);
         let computed: Vec<Arc<RecordResponse>> = which
             .par_iter()
             .map(|&(g, r, index)| {
-                let (profile, column) = &columns[index];
                 let near = near.and_then(|n| n.records[g].get(r));
                 if let Some(near) = near
-                    && Arc::ptr_eq(&near.profile, profile)
+                    && Arc::ptr_eq(&near.profile, &columns[index].0)
                     && near.depths_m == depths_m
                 {
                     return near.clone();
                 }
                 let strain = near.map(|n| n.strain.as_slice());
-                Arc::new(self.respond(effects, [g, r], (profile, column), &depths_m, (strain, iterations)))
+                Arc::new(self.respond((effects, &operators), [g, r], &columns[index], &depths_m, (strain, iterations)))
             })
             .collect();
         let mut records = vec![Vec::new(); self.groups.len()];
@@ -152,28 +165,18 @@ impl<'a> Scene<'a> {
 
     fn respond(
         &self,
-        effects: &[Box<dyn Effect>],
+        (effects, operators): (&[Box<dyn Effect>], &Operators<'_>),
         [g, r]: [usize; 2],
-        (profile, column): (&Arc<Profile>, &FastColumn),
+        (profile, column): &(Arc<Profile>, Arc<FastColumn>),
         depths_m: &[f64],
         (strain, iterations): (Option<&[f64]>, usize),
     ) -> RecordResponse {
         let group = &self.groups[g];
         let record = &group.records[r];
         let grid = Grid::around(self.band_hz[0], self.band_hz[1], column.grid_step_hz());
-        let place = Place { sensor: &self.problem.array.input, components: &self.problem.array.components };
-        let event = &self.problem.events[record.event];
-        // The true base displacement; what other components leak into it hardly matters for the strains.
-        let displacement: Vec<C64> = group
-            .frequencies_hz
-            .iter()
-            .zip(&record.channels[0])
-            .map(|(f, a)| {
-                let undone = Self::operator(effects, &place, *f).undone();
-                let own = event.component().min(1);
-                a * undone.0[own][own] / -(TAU * f).powi(2)
-            })
-            .collect();
+        let input = self.true_input(effects, operators, g, r);
+        let displacement: Vec<C64> =
+            group.frequencies_hz.iter().zip(&input).map(|(f, a)| a / -(TAU * f).powi(2)).collect();
         let n = record.window.len() as f64;
         let to_effective = EFFECTIVE * record.peak_factor * 2.0f64.sqrt() / n;
         let mut gamma = match strain {
@@ -196,8 +199,61 @@ impl<'a> Scene<'a> {
         for (f, out) in group.frequencies_hz.iter().zip(transfer.chunks_exact_mut(depths_m.len())) {
             march.response(*f, out);
         }
-        RecordResponse { profile: profile.clone(), depths_m: depths_m.to_vec(), strain: gamma, transfer }
+        let padded = self.padded_input(effects, operators, g, r);
+        let histories = self.histories(g, &march, &padded, depths_m.len());
+        let motion = interleaved(histories.iter().map(|h| self.windowed(g, h)).collect());
+        RecordResponse {
+            profile: profile.clone(),
+            column: column.clone(),
+            depths_m: depths_m.to_vec(),
+            strain: gamma,
+            transfer,
+            input,
+            motion,
+        }
     }
+
+    /// Motions of the output sensors' places under `input` (at the convolver's frequencies) as histories of the record's window.
+    fn histories(&self, g: usize, march: &March, input: &[C64], count: usize) -> Vec<Vec<f64>> {
+        let convolver = &self.groups[g].convolver;
+        let mut bins = vec![vec![C64::default(); input.len()]; count];
+        let mut at = vec![C64::default(); count];
+        for (k, (f, input)) in convolver.frequencies_hz.iter().zip(input).enumerate() {
+            march.response(*f, &mut at);
+            for (bins, at) in bins.iter_mut().zip(&at) {
+                bins[k] = at * input;
+            }
+        }
+        bins.into_iter().map(|bins| convolver.history(bins.into_iter())).collect()
+    }
+
+    /// Motions of the output sensors' places of record `r` of group `g`, not tapered.
+    pub(super) fn motions(
+        &self,
+        effects: &[Box<dyn Effect>],
+        [g, r]: [usize; 2],
+        responses: &Responses,
+    ) -> Vec<Vec<f64>> {
+        let response = &responses.records[g][r];
+        let grid = Grid::around(self.band_hz[0], self.band_hz[1], response.column.grid_step_hz());
+        let march = response.column.march(grid, &response.strain, &response.depths_m);
+        let input = self.padded_input(effects, &Operators::new(self, effects), g, r);
+        self.histories(g, &march, &input, response.depths_m.len())
+    }
+
+    /// Tapered spectrum of a history that has the window's length.
+    pub(super) fn windowed(&self, g: usize, history: &[f64]) -> Vec<C64> {
+        let group = &self.groups[g];
+        let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
+        let first = (group.frequencies_hz[0] / step_hz).round() as usize;
+        group.convolver.tapered(history, first, group.frequencies_hz.len())
+    }
+}
+
+/// `[sensor][bin]` as `[bin][sensor]`.
+fn interleaved(rows: Vec<Vec<C64>>) -> Vec<C64> {
+    let n = rows.first().map_or(0, Vec::len);
+    (0..n).flat_map(|k| rows.iter().map(move |row| row[k])).collect()
 }
 
 impl Responses {

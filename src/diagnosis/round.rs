@@ -61,7 +61,11 @@ impl Search<'_> {
         let mut starts: Vec<(usize, Vec<f64>)> = Vec::new();
         if let Some((model, anchor)) = declared {
             let (_, found) = screen(&self.fitter(anchor), &unknowns, &model.train, &open, Pass::Grid);
-            starts.extend(self.picked(found, &open, self.settings.finalists).into_iter().map(|s| (s.instance, joined(model.x(), &s.start))));
+            starts.extend(
+                self.picked(found, &open, self.settings.finalists)
+                    .into_iter()
+                    .map(|s| (s.instance, joined(model.x(), &s.start))),
+            );
         }
         let (_, found) = screen(&self.fitter(anchor), &unknowns, &base.train, &open, Pass::Score);
         let few = self.settings.finalists.div_ceil(2) + 1;
@@ -133,7 +137,8 @@ impl Search<'_> {
                 f.gain = f.gain.min(0.0) - 50.0;
             }
         }
-        fitted.sort_by(|a, b| b.gain.total_cmp(&a.gain).then_with(|| a.model.train.cost.total_cmp(&b.model.train.cost)));
+        fitted
+            .sort_by(|a, b| b.gain.total_cmp(&a.gain).then_with(|| a.model.train.cost.total_cmp(&b.model.train.cost)));
         let mut seen: Vec<Instance> = Vec::new();
         fitted.retain(|f| {
             let is_new = !seen.contains(&f.instance);
@@ -149,9 +154,10 @@ impl Search<'_> {
         let x = fitted.model.x();
         let own = &x[x.len() - zero.len()..];
         let free = &fitted.instance.free;
-        free.iter().zip(own).zip(&zero).all(|((f, x), zero)| {
-            f.zero.is_none() || (x - zero).abs() < TRIVIAL * f.parameter.prior_sd
-        })
+        free.iter()
+            .zip(own)
+            .zip(&zero)
+            .all(|((f, x), zero)| f.zero.is_none() || (x - zero).abs() < TRIVIAL * f.parameter.prior_sd)
     }
 
     /// Replays the best, and then whatever is close behind or has become the best, and fits again from there; the anchor

@@ -144,12 +144,7 @@ struct Trial<'a> {
 
 impl Trial<'_> {
     fn at(&self, coordinates: &[f64]) -> Option<Point> {
-        let mut effects = self.unknowns.effects.clone();
-        effects.push(self.instance.clone());
-        let unknowns = Unknowns { nuisances: self.unknowns.nuisances, effects };
-        let x: Vec<f64> = self.point.x.iter().chain(coordinates).copied().collect();
-        let found = self.fitter.at(&unknowns, &x, Some(&self.point.responses), ITERATIONS[2]).ok()?;
-        found.cost.is_finite().then_some(found)
+        with_effect(self.fitter, self.unknowns, self.point, self.instance, coordinates)
     }
 
     /// Coordinates of least marginal cost, and that cost.
@@ -181,19 +176,46 @@ impl Trial<'_> {
 
     /// The Gauss–Newton step of the strength; what only shapes the effect stays.
     fn scored(&self, start: &[f64], bounds: &[[f64; 2]]) -> Option<Vec<f64>> {
-        let free = &self.instance.free[0];
-        let step = 0.1 * free.parameter.prior_sd;
-        let step = if start[0] + step > bounds[0][1] { -step } else { step };
-        let mut moved = start.to_vec();
-        moved[0] += step;
-        let residual = self.at(&moved)?.residual;
-        let column = Mat::from_fn(residual.len(), 1, |i, _| (residual[i] - self.point.residual[i]) / step);
+        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start)?;
         let (delta, _) = self.marginal.score(&self.point.residual, &column)?;
         let mut x = start.to_vec();
         // A step to or across zero would say nothing about the effect.
         x[0] = (x[0] + delta[0]).clamp(bounds[0][0], bounds[0][1]);
         Some(x)
     }
+}
+
+/// `point` with `instance` at `coordinates` on top; `None` where the column cannot be built.
+pub(super) fn with_effect(
+    fitter: &Fitter<'_>,
+    unknowns: &Unknowns<'_>,
+    point: &Point,
+    instance: &Instance,
+    coordinates: &[f64],
+) -> Option<Point> {
+    let mut effects = unknowns.effects.clone();
+    effects.push(instance.clone());
+    let unknowns = Unknowns { nuisances: unknowns.nuisances, effects };
+    let x: Vec<f64> = point.x.iter().chain(coordinates).copied().collect();
+    let found = fitter.at(&unknowns, &x, Some(&point.responses), ITERATIONS[2]).ok()?;
+    found.cost.is_finite().then_some(found)
+}
+
+/// ∂ρ/∂strength of `instance` at `start`, a column.
+pub(super) fn derivative(
+    fitter: &Fitter<'_>,
+    unknowns: &Unknowns<'_>,
+    point: &Point,
+    instance: &Instance,
+    start: &[f64],
+) -> Option<Mat<f64>> {
+    let free = instance.free.first()?;
+    let step = 0.1 * free.parameter.prior_sd;
+    let step = if start[0] + step > free.parameter.bounds()[1] { -step } else { step };
+    let mut moved = start.to_vec();
+    moved[0] += step;
+    let residual = with_effect(fitter, unknowns, point, instance, &moved)?.residual;
+    Some(Mat::from_fn(residual.len(), 1, |i, _| (residual[i] - point.residual[i]) / step))
 }
 
 #[cfg(test)]
@@ -207,8 +229,7 @@ mod tests {
         let marginal = Marginal::of(jacobian.clone(), nuisances.clone());
         let r = [0.3, -0.9, 1.4, 0.2, -0.5];
         let explicit = |d: [f64; 2]| -> f64 {
-            let fit: f64 =
-                (0..5).map(|i| (r[i] + jacobian[(i, 0)] * d[0] + jacobian[(i, 1)] * d[1]).powi(2)).sum();
+            let fit: f64 = (0..5).map(|i| (r[i] + jacobian[(i, 0)] * d[0] + jacobian[(i, 1)] * d[1]).powi(2)).sum();
             fit + (nuisances[0] + d[0]).powi(2) + (nuisances[1] + d[1]).powi(2)
         };
         let mut least = f64::INFINITY;

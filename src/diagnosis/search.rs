@@ -113,7 +113,14 @@ impl<'a> Search<'a> {
     ///
     /// # Errors
     /// When `x` cannot be evaluated.
-    pub fn settle(&self, effects: &[Instance], x: &[f64], anchor: &Anchor, near: Option<&Model>, steps: usize) -> Result<Model> {
+    pub fn settle(
+        &self,
+        effects: &[Instance],
+        x: &[f64],
+        anchor: &Anchor,
+        near: Option<&Model>,
+        steps: usize,
+    ) -> Result<Model> {
         let unknowns = self.unknowns(effects);
         let fitter = self.fitter(anchor);
         let iterations = |near: Option<&Model>| if near.is_some() { ITERATIONS[1] } else { ITERATIONS[0] };
@@ -134,6 +141,6 @@ impl<'a> Search<'a> {
         let built = unknowns.build(&self.scene.problem.declared, x)?;
         let all: Vec<usize> = (0..self.scene.groups.len()).collect();
         let responses = self.scene.responses(&built, &all, None, ITERATIONS[0])?;
-        Anchor::replayed(self.scene, replay, &built, &unknowns.tables(x), &responses)
+        Anchor::replayed(self.scene, replay, &unknowns.tables(x), &responses)
     }
 }

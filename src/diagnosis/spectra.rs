@@ -4,10 +4,11 @@ use super::problem::{Event, Problem};
 use super::settings::DiagnoseSettings;
 use crate::error::{Error, Result};
 use crate::records::Split;
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
+use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -15,6 +16,8 @@ type C64 = Complex<f64>;
 const MAX_DURATION_S: f64 = 41.0;
 /// Share of the stretch that is tapered at each end.
 const TAPER_SHARE: f64 = 0.04;
+/// Time that a motion is given to die away before it would wrap around, s.
+const SILENCE_S: f64 = 12.0;
 /// Half width over which spectra are smoothed, Hz.
 pub(super) const SMOOTH_HZ: f64 = 0.15;
 
@@ -27,6 +30,8 @@ pub struct Group {
     pub frequencies_hz: Vec<f64>,
     /// Its records, by component.
     pub records: Vec<RecordSpectra>,
+    /// Convolution without wrapping around.
+    pub convolver: Convolver,
 }
 
 /// One component of one event as spectra.
@@ -42,6 +47,92 @@ pub struct RecordSpectra {
     pub noise: Vec<Vec<f64>>,
     /// Peak over root-mean-square base velocity.
     pub peak_factor: f64,
+    /// Spectra of the channels, not tapered and followed by silence, at the convolver's frequencies: `[sensor][bin]`.
+    pub padded: Vec<Vec<C64>>,
+}
+
+/// Transforms of one event's length, planned once: a causal response is convolved with a history followed by silence and cut
+/// to the samples compared, so that nothing wraps around.
+#[derive(Clone)]
+pub struct Convolver {
+    /// Its frequencies, Hz.
+    pub frequencies_hz: Vec<f64>,
+    first: usize,
+    n: usize,
+    padded: [Arc<dyn RealToComplex<f64>>; 2],
+    inverse: Arc<dyn ComplexToReal<f64>>,
+}
+
+impl std::fmt::Debug for Convolver {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Convolver").field("n", &self.n).field("first", &self.first).finish_non_exhaustive()
+    }
+}
+
+impl Convolver {
+    fn new(n: usize, dt_s: f64, [low_hz, high_hz]: [f64; 2]) -> Self {
+        let mut size = n + (SILENCE_S / dt_s) as usize;
+        while !is_smooth(size) || size % 2 == 1 {
+            size += 1;
+        }
+        let step_hz = 1.0 / (size as f64 * dt_s);
+        let first = (0.5 * low_hz / step_hz).ceil().max(1.0) as usize;
+        let last = ((high_hz / step_hz).ceil() as usize + 1).min(size / 2 - 1);
+        let mut planner = RealFftPlanner::<f64>::new();
+        Self {
+            frequencies_hz: (first..=last).map(|k| k as f64 * step_hz).collect(),
+            first,
+            n,
+            padded: [planner.plan_fft_forward(size), planner.plan_fft_forward(n)],
+            inverse: planner.plan_fft_inverse(size),
+        }
+    }
+
+    /// Spectrum of a history of `n` samples followed by silence.
+    fn forward(&self, x: &[f64]) -> Vec<C64> {
+        let plan = &self.padded[0];
+        let (mut buffer, mut out) = (plan.make_input_vec(), plan.make_output_vec());
+        let count = self.n.min(x.len());
+        buffer[..count].copy_from_slice(&x[..count]);
+        if plan.process(&mut buffer, &mut out).is_err() {
+            out.fill(C64::default());
+        }
+        out[self.first..self.first + self.frequencies_hz.len()].to_vec()
+    }
+
+    /// The first `n` samples of the history with these values at the convolver's frequencies.
+    pub fn history(&self, bins: impl Iterator<Item = C64>) -> Vec<f64> {
+        let (mut input, mut out) = (self.inverse.make_input_vec(), self.inverse.make_output_vec());
+        input[self.first..].iter_mut().zip(bins).for_each(|(x, bin)| *x = bin);
+        if self.inverse.process(&mut input, &mut out).is_err() {
+            out.fill(0.0);
+        }
+        let scale = 1.0 / out.len() as f64;
+        out[..self.n].iter().map(|x| x * scale).collect()
+    }
+
+    /// Tapered spectrum of `n` samples at `count` bins from `first` on.
+    pub fn tapered(&self, history: &[f64], first: usize, count: usize) -> Vec<C64> {
+        let plan = &self.padded[1];
+        let (mut buffer, mut out) = (plan.make_input_vec(), plan.make_output_vec());
+        for (i, (value, x)) in buffer.iter_mut().zip(history).enumerate() {
+            *value = x * taper(i, self.n);
+        }
+        if plan.process(&mut buffer, &mut out).is_err() {
+            out.fill(C64::default());
+        }
+        out[first..first + count].to_vec()
+    }
+}
+
+/// Whether a transform of this size is fast.
+fn is_smooth(mut n: usize) -> bool {
+    for p in [2, 3, 5] {
+        while n.is_multiple_of(p) {
+            n /= p;
+        }
+    }
+    n == 1
 }
 
 impl Group {
@@ -49,21 +140,6 @@ impl Group {
     pub fn n_residual(&self) -> usize {
         self.records.iter().map(|r| 2 * (r.channels.len() - 1) * self.frequencies_hz.len()).sum()
     }
-}
-
-/// Tapered spectrum of `x[window]` at the bins from `first` on.
-pub fn spectrum(x: &[f64], window: &Range<usize>, first: usize, count: usize) -> Vec<C64> {
-    let n = window.len();
-    let mut buffer = vec![0.0; n];
-    for (i, (value, x)) in buffer.iter_mut().zip(x.get(window.clone()).unwrap_or_default()).enumerate() {
-        *value = x * taper(i, n);
-    }
-    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(n);
-    let mut out = plan.make_output_vec();
-    if plan.process(&mut buffer, &mut out).is_err() {
-        return vec![C64::default(); count];
-    }
-    out[first..first + count].to_vec()
 }
 
 /// The history whose bins from `first` on are `bins`, zero elsewhere.
@@ -108,8 +184,7 @@ pub fn groups(problem: &Problem, settings: &DiagnoseSettings) -> Result<Vec<Grou
 }
 
 fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<Group> {
-    let mut members: Vec<(usize, &Event)> =
-        problem.events.iter().enumerate().filter(|(_, e)| e.name == name).collect();
+    let mut members: Vec<(usize, &Event)> = problem.events.iter().enumerate().filter(|(_, e)| e.name == name).collect();
     members.sort_by_key(|(_, e)| e.component());
     let dt_s = members[0].1.dt_s;
     let place = || format!("event `{name}`");
@@ -124,13 +199,15 @@ fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<G
         return Err(Error::new(what).at(place()));
     }
     let step_hz = 1.0 / (window.len() as f64 * dt_s);
+    let convolver = Convolver::new(window.len(), dt_s, [settings.band_hz[0], (first + count) as f64 * step_hz]);
     let frequencies_hz: Vec<f64> = (0..count).map(|k| (first + k) as f64 * step_hz).collect();
     let tapered: f64 = (0..window.len()).map(|i| taper(i, window.len()).powi(2)).sum();
     let records = members
         .iter()
         .map(|(index, event)| {
             let histories = std::iter::once(&event.input).chain(&event.outputs);
-            let channels: Vec<Vec<C64>> = histories.map(|x| spectrum(x, &window, first, count)).collect();
+            let channels: Vec<Vec<C64>> =
+                histories.map(|x| convolver.tapered(&x[window.clone()], first, count)).collect();
             let smooth = (SMOOTH_HZ / step_hz).round() as usize;
             let noise = channels
                 .iter()
@@ -150,10 +227,12 @@ fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<G
             let peak = velocity.iter().fold(0.0f64, |m, v| m.max(v.abs()));
             let rms = (velocity.iter().map(|v| v * v).sum::<f64>() / velocity.len() as f64).sqrt();
             let peak_factor = if rms > 0.0 { peak / rms } else { 3.0 };
-            RecordSpectra { event: *index, window: window.clone(), channels, noise, peak_factor }
+            let histories = std::iter::once(&event.input).chain(&event.outputs);
+            let padded = histories.map(|x| convolver.forward(&x[window.clone()])).collect();
+            RecordSpectra { event: *index, window: window.clone(), channels, noise, peak_factor, padded }
         })
         .collect();
-    Ok(Group { split: members[0].1.split, frequencies_hz, records })
+    Ok(Group { split: members[0].1.split, frequencies_hz, records, convolver })
 }
 
 /// The stretch of `longest` samples with most input energy.

@@ -1,13 +1,12 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
-use super::anchor::Anchor;
 use super::diagnose::Path;
 use super::fit::Fitter;
 use super::outcome::{
     Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound, Verdict,
 };
 use super::round::Fitted;
-use super::screen::Marginal;
+use super::screen::{Marginal, derivative};
 use super::search::{Model, Search, square};
 use crate::effects::{self, Class};
 use crate::error::Result;
@@ -23,16 +22,15 @@ const TWO_SIDED: f64 = 1.96;
 /// # Errors
 /// When the last model cannot be evaluated.
 pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds) -> Result<Diagnosis> {
-    let anchor = Anchor::fast(search.scene);
-    let fitter = search.fitter(&anchor);
+    let fitter = search.fitter(&path.anchor);
     let corrected = &path.corrected;
     let unknowns = search.unknowns(&corrected.effects);
     let deviations = fitter.deviations(&unknowns, &corrected.train);
-    let excess = [&path.declared, &path.recalibrated, corrected].map(|m| excess(m));
+    let excess = [&path.declared, &path.recalibrated, corrected].map(excess);
     let expected = search.expected_cost();
     let lost = path.recalibrated.cost() - expected;
-    let explained_share =
-        (!path.accepted.is_empty() && lost > 0.0).then(|| ((path.recalibrated.cost() - corrected.cost()) / lost).clamp(0.0, 1.0));
+    let explained_share = (!path.accepted.is_empty() && lost > 0.0)
+        .then(|| ((path.recalibrated.cost() - corrected.cost()) / lost).clamp(0.0, 1.0));
     let ambiguity = ambiguity(search, path);
     let mut notes = Vec::new();
     let verdict = verdict(search, path, thresholds, explained_share, excess[2], &ambiguity, &mut notes);
@@ -111,10 +109,7 @@ fn verdict(
         return Verdict::Unknown;
     }
     if remains {
-        notes.push(format!(
-            "beside the named effects, {:.0} % of the excess remains",
-            100.0 * (1.0 - share)
-        ));
+        notes.push(format!("beside the named effects, {:.0} % of the excess remains", 100.0 * (1.0 - share)));
     }
     if ambiguity.len() > 1 {
         let keys = ambiguity.iter().filter_map(|kind| {
@@ -139,7 +134,8 @@ fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
             .zip(own.clone())
             .map(|(free, i)| {
                 let p = free.parameter;
-                let ends = [-1.0, 1.0].map(|sign| p.value(clamped(x[i] + sign * TWO_SIDED * deviations[i], p.bounds())));
+                let ends =
+                    [-1.0, 1.0].map(|sign| p.value(clamped(x[i] + sign * TWO_SIDED * deviations[i], p.bounds())));
                 let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
                 (p.name.to_string(), Estimate { value: p.value(x[i]), unit: p.unit.to_string(), ci95 })
             })
@@ -191,7 +187,7 @@ fn upper_bounds(search: &Search<'_>, fitter: &Fitter<'_>, model: &Model) -> Vec<
     let mut bounds: BTreeMap<(String, String), UpperBound> = BTreeMap::new();
     for instance in &search.instances {
         let (Some(free), Some(zero)) = (instance.free.first(), instance.zero()) else { continue };
-        let Some(column) = super::power::derivative(fitter, &unknowns, &model.train, instance, &zero) else { continue };
+        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero) else { continue };
         let Some((step, normal)) = marginal.score(&model.train.residual, &column) else { continue };
         let deviation = 1.0 / normal[(0, 0)].sqrt();
         let size = step[0].abs() + TWO_SIDED * deviation;
@@ -215,18 +211,19 @@ fn remainder(search: &Search<'_>, model: &Model) -> Remainder {
     let bands = EDGES_HZ.len() - 1;
     let mut sums = vec![vec![[0.0; 2]; bands]; array.outputs.len()];
     let mut event = Vec::new();
-    for (groups, residual) in [(&search.train, &model.train.residual), (&search.validation, &model.validation.residual)] {
+    for (groups, residual) in [(&search.train, &model.train.residual), (&search.validation, &model.validation.residual)]
+    {
         let mut at = 0;
         for g in groups {
             let group = &search.scene.groups[*g];
             let mut own = vec![[0.0; 2]; group.records.len()];
             for f in &group.frequencies_hz {
                 let band = EDGES_HZ.iter().rposition(|e| f >= e).unwrap_or(0).min(bands - 1);
-                for sensor in 0..array.outputs.len() {
-                    for own in own.iter_mut() {
+                for own in &mut own {
+                    for sums in &mut sums {
                         let power = square(&residual[at..at + 2]);
                         at += 2;
-                        for sum in [&mut sums[sensor][band], own] {
+                        for sum in [&mut sums[band], &mut *own] {
                             sum[0] += power;
                             sum[1] += 2.0;
                         }

@@ -1,0 +1,108 @@
+//! The sensor side of a set of effects, sorted by sensor once for many frequencies.
+
+use super::responses::Scene;
+use crate::effects::{Effect, Operator, Place};
+use realfft::num_complex::Complex;
+
+type C64 = Complex<f64>;
+
+/// What each sensor makes of the motion, and what else arrives there.
+pub struct Operators<'e> {
+    /// Effects at each sensor, the input sensor first.
+    acting: Vec<Vec<&'e dyn Effect>>,
+    arriving: Vec<&'e dyn Effect>,
+    names: Vec<&'e str>,
+    components: &'e [String],
+}
+
+impl<'e> Operators<'e> {
+    /// Sorts `effects` by the sensors of `scene`.
+    pub fn new(scene: &'e Scene<'_>, effects: &'e [Box<dyn Effect>]) -> Self {
+        let names: Vec<&str> = scene.problem.array.sensors().collect();
+        let components = scene.problem.array.components.as_slice();
+        let at = |name: &&str| -> Vec<&dyn Effect> {
+            let place = Place { sensor: name, components };
+            effects.iter().map(AsRef::as_ref).filter(|e| e.response(&place, 1.0).is_some()).collect()
+        };
+        Self {
+            acting: names.iter().map(at).collect(),
+            arriving: effects.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect(),
+            names,
+            components,
+        }
+    }
+
+    /// What sensor `index` (0: input) makes of the motion.
+    pub fn at(&self, index: usize, frequency_hz: f64) -> Operator {
+        let place = Place { sensor: self.names[index], components: self.components };
+        let all = self.acting[index].iter().filter_map(|e| e.response(&place, frequency_hz));
+        all.reduce(|all, next| next.after(&all)).unwrap_or(Operator::IDENTITY)
+    }
+
+    /// What undoes the input sensor.
+    pub fn input_undone(&self, frequency_hz: f64) -> Operator {
+        self.at(0, frequency_hz).undone()
+    }
+
+    /// Further arrivals at `depth_m`, as a factor on the true base motion.
+    pub fn arrival(&self, depth_m: f64, frequency_hz: f64) -> C64 {
+        self.arriving.iter().filter_map(|e| e.arrival(depth_m, frequency_hz)).sum()
+    }
+}
+
+/// Entry of an operator between two components; components beyond the second pass unchanged.
+pub fn entry(operator: &Operator, to: usize, from: usize) -> C64 {
+    match (to, from) {
+        (0 | 1, 0 | 1) => operator.0[to][from],
+        _ if to == from => C64::new(1.0, 0.0),
+        _ => C64::default(),
+    }
+}
+
+impl Scene<'_> {
+    /// The channel on which the motion of `sensor` (0: input) was recorded.
+    pub fn source(&self, effects: &[Box<dyn Effect>], sensor: usize) -> usize {
+        let array = &self.problem.array;
+        let index = |name: &str| array.sensors().position(|s| s == name);
+        let mut at = sensor;
+        for (a, b) in effects.iter().filter_map(|e| e.exchange()) {
+            if let (Some(a), Some(b)) = (index(a), index(b)) {
+                at = if at == a {
+                    b
+                } else if at == b {
+                    a
+                } else {
+                    at
+                };
+            }
+        }
+        at
+    }
+
+    /// `operator` applied to the records of group `g`, for the component of `event`.
+    pub fn mixed(&self, operator: &Operator, g: usize, event: usize, value: impl Fn(usize) -> C64) -> C64 {
+        let to = self.problem.events[event].component();
+        let records = self.groups[g].records.iter().enumerate();
+        records.map(|(r, record)| entry(operator, to, self.problem.events[record.event].component()) * value(r)).sum()
+    }
+
+    /// True base motion of record `r` of group `g`, by bin.
+    pub fn true_input(&self, effects: &[Box<dyn Effect>], operators: &Operators<'_>, g: usize, r: usize) -> Vec<C64> {
+        let group = &self.groups[g];
+        let source = self.source(effects, 0);
+        let event = group.records[r].event;
+        let bins = group.frequencies_hz.iter().enumerate();
+        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| group.records[c].channels[source][k]))
+            .collect()
+    }
+
+    /// The same at the frequencies of the convolver.
+    pub fn padded_input(&self, effects: &[Box<dyn Effect>], operators: &Operators<'_>, g: usize, r: usize) -> Vec<C64> {
+        let group = &self.groups[g];
+        let source = self.source(effects, 0);
+        let event = group.records[r].event;
+        let bins = group.convolver.frequencies_hz.iter().enumerate();
+        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| group.records[c].padded[source][k]))
+            .collect()
+    }
+}
