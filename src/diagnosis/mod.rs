@@ -8,11 +8,15 @@
 //! of null twins of the same array.
 
 mod anchor;
+mod coherence;
 mod cost;
 mod curves;
 mod diagnose;
 mod fast_column;
 mod fit;
+mod generic;
+mod hygiene;
+mod independence;
 mod interference;
 mod noise;
 mod null_twins;
@@ -20,6 +24,7 @@ mod operators;
 mod outcome;
 mod power;
 mod problem;
+mod repeatable;
 mod responses;
 mod round;
 mod screen;
@@ -30,9 +35,13 @@ mod spectra;
 mod unknowns;
 mod verdict;
 
+pub use coherence::{Coherent, Trace, coherent};
 pub use curves::{Curve, Curves};
 pub use diagnose::diagnose;
 pub use fast_column::{FastColumn, Grid, March, element_count};
+pub use generic::{GenericCorrection, Pair, fit as fit_generic};
+pub use hygiene::{Shot, Suspicion, hygiene};
+pub use independence::{Independence, independence};
 pub use noise::noise;
 pub use null_twins::{drawn, thresholds};
 pub use outcome::{
@@ -41,6 +50,7 @@ pub use outcome::{
 };
 pub use power::{Confusion, Power, Sensitivity, power};
 pub use problem::{Event, NoiseSpectrum, Problem, Replay};
+pub use repeatable::{Partition, partition};
 pub use responses::Scene;
 pub use settings::DiagnoseSettings;
 pub use simulated::Disturbance;

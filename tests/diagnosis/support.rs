@@ -39,6 +39,7 @@ pub fn profile(elements: usize) -> Profile {
         vertical: Vertical::Free,
         rayleigh: Rayleigh::default(),
         elements,
+        features: Features::default(),
     }
 }
 
