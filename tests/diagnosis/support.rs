@@ -1,6 +1,6 @@
 //! A small array and twins of it.
 
-use flare_pipe::column::{Analysis, Column, Layer, Profile, Rayleigh, Vertical};
+use flare_pipe::column::{Analysis, Column, Features, Layer, Profile, Rayleigh, Vertical};
 use flare_pipe::dataset::sensor_histories;
 use flare_pipe::diagnosis::{DiagnoseSettings, Event, NoiseSpectrum, Problem, Replay};
 use flare_pipe::effects::{self, Array, Direction, Recording, Situation};
