@@ -4,11 +4,14 @@
 mod synthetic_column;
 
 use flare_pipe::flare::{
-    CalibrateSettings, Calibration, Case, DistillSettings, Event, Normalisation, Observation, PretrainSettings,
-    SourceModel, SparseEncoder, calibrate, distill, predict, pretrain, reconstruct,
+    CalibrateSettings, Calibration, Case, Data, DistillSettings, Event, Normalisation, Observation, PretrainSettings,
+    Solver, SourceModel, SparseEncoder, calibrate, distill, predict, pretrain, reconstruct,
 };
-use flare_pipe::progress::Quiet;
+use flare_pipe::progress::{Progress, Quiet};
+use std::panic::AssertUnwindSafe;
+use std::path::Path;
 use std::sync::OnceLock;
+use std::sync::atomic::{AtomicU64, Ordering};
 use synthetic_column::Synthetic;
 
 const N_TRAIN: usize = 12;
@@ -51,7 +54,7 @@ fn trained() -> &'static Trained {
         let (model, _) = pretrain(train, validation, &settings(), 1, None, &Quiet).expect("pretrains");
         let distill_settings =
             DistillSettings { window: 5, hidden: vec![32], epochs: 60, batch: 64, ..Default::default() };
-        let (encoder, _) = distill(&model, train, validation, &distill_settings, 1, &Quiet).expect("distils");
+        let (encoder, _) = distill(&model, train, validation, &distill_settings, 1, None, &Quiet).expect("distils");
         Trained { cases, observation, model, encoder }
     })
 }
@@ -93,9 +96,10 @@ fn records_of_another_column_are_predicted_better_after_calibration() {
         .into_iter()
         .map(|c| Event { id: c.id, u: c.u, u_half: c.u_half, sparse: c.sparse })
         .collect();
-    let settings = CalibrateSettings { epochs: 200, threshold_every: 50, ..Default::default() };
-    let calibration = calibrate(&t.model, &t.encoder, &t.observation, &events[..5], &events[5..7], &settings, &Quiet)
-        .expect("calibrates");
+    let settings = CalibrateSettings::default();
+    let data = Data { simulations: &t.cases[..N_TRAIN], train: &events[..5], validation: &events[5..7] };
+    let calibration =
+        calibrate(&t.model, &t.encoder, &t.observation, &data, &settings, None, &Quiet).expect("calibrates");
     let test_error = |xi: &[f32]| -> f64 {
         let one = |e: &Event| {
             let window = &e.sparse[..5 * 2];
@@ -106,7 +110,7 @@ fn records_of_another_column_are_predicted_better_after_calibration() {
     };
     let (before, after) = (test_error(t.model.coefficients()), test_error(&calibration.coefficients));
     assert!(after < 0.8 * before, "{after} % after, {before} % before");
-    assert!(calibration.cosine_similarity > 0.9);
+    assert!(calibration.cosine_similarity > 0.9, "{}", calibration.cosine_similarity);
     for (kept, was_kept) in calibration.mask.iter().zip(&t.model.mask) {
         assert!(*was_kept || !*kept, "a term came back");
     }
@@ -150,6 +154,79 @@ fn training_taken_up_from_its_checkpoint_ends_in_the_same_bytes() {
     // another seed is another training and does not take the state up
     let other = pretrain(train, validation, &settings, 6, Some(dir.path()), &Quiet).expect("trains");
     assert!(other.0 != whole.0);
+}
+
+/// Ends the training it listens to after some steps, as a kill does.
+struct Killer {
+    left: AtomicU64,
+}
+
+impl Progress for Killer {
+    fn start(&self, _: &str, _: u64) {}
+    fn advance(&self, steps: u64) {
+        let left = self.left.load(Ordering::SeqCst);
+        assert!(left > steps, "killed");
+        self.left.store(left - steps, Ordering::SeqCst);
+    }
+    fn note(&self, _: &str) {}
+}
+
+/// Counts the steps of a training.
+#[derive(Default)]
+struct Counter {
+    advances: AtomicU64,
+}
+
+impl Progress for Counter {
+    fn start(&self, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {
+        self.advances.fetch_add(1, Ordering::SeqCst);
+    }
+    fn note(&self, _: &str) {}
+}
+
+/// Runs `train` whole, then killed after `steps` steps and taken up again; the second must end like the first with less work.
+fn is_resumed<T: PartialEq>(steps: u64, train: impl Fn(Option<&Path>, &dyn Progress) -> T) {
+    let counts = [Counter::default(), Counter::default()];
+    let whole = train(None, &counts[0]);
+    let dir = tempfile::tempdir().expect("folder");
+    let killer = Killer { left: AtomicU64::new(steps) };
+    std::panic::catch_unwind(AssertUnwindSafe(|| train(Some(dir.path()), &killer))).err().expect("is killed");
+    let resumed = train(Some(dir.path()), &counts[1]);
+    assert!(whole == resumed, "the resumed training ends elsewhere");
+    let [all, rest] = counts.map(|c| c.advances.into_inner());
+    assert!(rest < all, "{rest} steps after the kill of {all}");
+}
+
+#[test]
+fn a_killed_distillation_goes_on_to_the_same_bytes() {
+    let t = trained();
+    let settings = DistillSettings { window: 5, epochs: 35, ..Default::default() };
+    let (train, validation) = t.cases.split_at(N_TRAIN);
+    is_resumed(24, |dir, progress| {
+        let (encoder, history) = distill(&t.model, train, validation, &settings, 1, dir, progress).expect("distils");
+        (encoder, history.to_csv())
+    });
+}
+
+#[test]
+fn a_killed_calibration_goes_on_to_the_same_bytes_with_either_solver() {
+    let t = trained();
+    let events: Vec<Event> = t.cases[..6].iter().map(as_event).collect();
+    let data = Data { simulations: &t.cases[..N_TRAIN], train: &events[..4], validation: &events[4..] };
+    let adam = CalibrateSettings { solver: Solver::Adam, epochs: 90, threshold_every: 20, ..Default::default() };
+    let gauss_newton = CalibrateSettings { penalty_ladder: vec![1.0, 0.1, 0.01], ..Default::default() };
+    for (settings, steps) in [(adam, 60), (gauss_newton, 3)] {
+        is_resumed(steps, |dir, progress| {
+            let found = calibrate(&t.model, &t.encoder, &t.observation, &data, &settings, dir, progress);
+            let found = found.expect("calibrates");
+            (found.coefficients, found.mask, found.history.to_csv())
+        });
+    }
+}
+
+fn as_event(case: &Case) -> Event {
+    Event { id: case.id.clone(), u: case.u.clone(), u_half: case.u_half.clone(), sparse: case.sparse.clone() }
 }
 
 #[test]

@@ -42,7 +42,7 @@ impl Kernel for Reverse<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let (r, m) = (self.library.latent, self.library.n_term());
-        let n_step = self.forcing.u.len();
+        let n_step = self.forcing.n_step();
         let mut theta = vec![Lanes::ZERO; 4 * m];
         let mut g = vec![Lanes::ZERO; 4 * r];
         let mut work = vec![Lanes::ZERO; m];
@@ -56,8 +56,6 @@ impl Kernel for Reverse<'_> {
                 }
             }
             let stages = &self.trajectory.stages[(t - 1) * 4 * r..t * 4 * r];
-            let inputs =
-                [&self.forcing.u[t - 1], &self.forcing.u_half[t - 1], &self.forcing.u_half[t - 1], &self.forcing.u[t]];
             pulled.fill(Lanes::ZERO);
             let mut total = lambda.clone();
             for (s, (own, from_next)) in
@@ -70,9 +68,10 @@ impl Kernel for Reverse<'_> {
                     g[k].add_scaled::<FMA>(&lambda[k], own);
                     g[k].add_scaled::<FMA>(&pulled[k], from_next); // (1)
                 }
-                self.library.terms(z, inputs[s], &mut theta[s * m..(s + 1) * m]);
+                let drive = self.forcing.stage(t, s);
+                self.library.terms(z, drive, &mut theta[s * m..(s + 1) * m]);
                 pulled.fill(Lanes::ZERO);
-                self.library.pull_back::<FMA>(z, self.xi_t, g, &mut work, &mut pulled);
+                self.library.pull_back::<FMA>(z, drive, self.xi_t, g, &mut work, &mut pulled);
                 for k in 0..r {
                     add(&mut total[k], &pulled[k]);
                 }
@@ -97,28 +96,33 @@ fn add(to: &mut Lanes, from: &Lanes) {
 mod tests {
     use super::*;
     use crate::flare::integrator::rollout;
+    use crate::flare::memory::Drive;
     use crate::numerics::random::stream;
     use rand::RngExt;
 
     /// Plain f64 rollout of one lane; returns Σ_t w_t · z_t.
+    /// `u` and `u_half` hold base acceleration and one memory a sample.
     fn value(r: usize, xi: &[f64], z0: &[f64], u: &[f64], u_half: &[f64], weight: &[f64]) -> f64 {
-        let f = |z: &[f64], u: f64| -> Vec<f64> {
+        let f = |z: &[f64], u: &[f64]| -> Vec<f64> {
             let mut theta = vec![1.0];
             theta.extend(z);
             (0..r).for_each(|i| (i..r).for_each(|j| theta.push(z[i] * z[j])));
-            theta.push(u);
+            theta.push(u[0]);
+            theta.extend(z.iter().chain([&u[0]]).map(|x| u[1] * x));
             (0..r).map(|k| theta.iter().enumerate().map(|(p, t)| t * xi[p * r + k]).sum()).collect()
         };
         let ahead = |z: &[f64], k: &[f64], h: f64| -> Vec<f64> { z.iter().zip(k).map(|(z, k)| z + h * k).collect() };
         let mut z = z0.to_vec();
         let mut sum = 0.0;
-        for t in 0..u.len() {
+        let n_step = u.len() / 2;
+        let (u, u_half) = (|t: usize| &u[2 * t..2 * t + 2], |t: usize| &u_half[2 * t..2 * t + 2]);
+        for t in 0..n_step {
             sum += (0..r).map(|k| weight[t * r + k] * z[k]).sum::<f64>();
-            if t + 1 < u.len() {
-                let k1 = f(&z, u[t]);
-                let k2 = f(&ahead(&z, &k1, 0.5), u_half[t]);
-                let k3 = f(&ahead(&z, &k2, 0.5), u_half[t]);
-                let k4 = f(&ahead(&z, &k3, 1.0), u[t + 1]);
+            if t + 1 < n_step {
+                let k1 = f(&z, u(t));
+                let k2 = f(&ahead(&z, &k1, 0.5), u_half(t));
+                let k3 = f(&ahead(&z, &k2, 0.5), u_half(t));
+                let k4 = f(&ahead(&z, &k3, 1.0), u(t + 1));
                 for k in 0..r {
                     z[k] += (k1[k] + 2.0 * k2[k] + 2.0 * k3[k] + k4[k]) / 6.0;
                 }
@@ -130,13 +134,14 @@ mod tests {
     #[test]
     fn gradients_of_the_rollout_match_finite_differences_in_double_precision() {
         let (r, n_step, lane) = (3, 12, 7);
-        let library = Library { latent: r };
+        let library = Library { latent: r, memories: 1, energies: 0 };
         let mut random = stream(3, "adjoint test");
         let mut draw = |n: usize, scale: f64| -> Vec<f64> {
             (0..n).map(|_| f64::from(((random.random::<f64>() - 0.5) * 2.0 * scale) as f32)).collect()
         };
-        let xi = draw(library.n_coefficient(), 0.2);
-        let (z0, u, u_half, weight) = (draw(r, 1.0), draw(n_step, 1.0), draw(n_step - 1, 1.0), draw(n_step * r, 1.0));
+        let xi = draw(library.n_coefficient(), 0.05);
+        let (z0, u, u_half, weight) =
+            (draw(r, 1.0), draw(2 * n_step, 1.0), draw(2 * n_step - 2, 1.0), draw(n_step * r, 1.0));
 
         let single = |x: &[f64]| x.iter().map(|v| *v as f32).collect::<Vec<f32>>();
         let in_lane = |x: &[f64]| -> Vec<Lanes> {
@@ -149,8 +154,8 @@ mod tests {
                 .collect()
         };
         let mut forcing = Forcing::default();
-        forcing.reset(n_step);
-        forcing.set(lane, &single(&u), &single(&u_half), 1.0);
+        forcing.reset(n_step, 2);
+        forcing.set(lane, &Drive { width: 2, at: single(&u), half: single(&u_half) }, 0..n_step, 1.0);
         let mut trajectory = Trajectory::default();
         rollout(library, &single(&xi), &in_lane(&z0), &forcing, 1e3, &mut trajectory);
         let mut dz = in_lane(&weight);

@@ -1,26 +1,29 @@
 //! Stage 3: the latent equations corrected by records, everything else held.
 //!
 //! ```text
-//! Ξ = Ξ₀ + ΔΞ,   L = mean ((C D(ẑ) − a_s)/σ_s)² + λ_Δ · mean_k |Δξ_k|²/|ξ₀_k|²                             (1)
+//! Ξ = Ξ₀ + ΔΞ,   L = mean ((C D(ẑ) − a_s)/σ_s)² + λ_Δ R(ΔΞ)                                                (1)
 //! ```
 //!
-//! `ẑ` is the complete rollout from the sparse encoder's state at the end of the first window, `k` counts the latent
-//! equations. Selection is by the complete-rollout error of the validation events; a candidate that diverges on one of
+//! `ẑ` is the complete rollout from the sparse encoder's state at the end of the first window, `R` the relative size of the
+//! correction in one of two metrics ([`super::penalty`]). Selection is by the complete-rollout error of the validation events; a candidate that diverges on one of
 //! them cannot be selected. Called once for each component.
 
-use super::adam::{Adam, cosine};
-use super::case::Event;
+use super::case::{Case, Event};
+use super::descent::Descent;
 use super::events::{Reader, Records};
+use super::gauss_newton::{Problem, Search};
 use super::history::History;
 use super::model::{SourceModel, SparseEncoder};
 use super::observation::Observation;
-use super::pretrain::thresholds_after;
-use super::settings::CalibrateSettings;
+use super::penalty::Penalty;
+use super::settings::{CalibrateSettings, Metric, Solver};
+use super::snapshot::Fingerprint;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use std::path::Path;
 
-/// Longest gradient an optimiser step may follow.
-const CLIP: f64 = 10.0;
+/// Epochs of gradient descent between checkpoints.
+const CHECKPOINT_EVERY: usize = 25;
 
 /// Calibrated latent equations of one component.
 #[derive(Debug, Clone, PartialEq)]
@@ -44,7 +47,19 @@ impl Calibration {
     }
 }
 
-/// Calibrates the coefficients on `train` and keeps those best on `validation`; `Ξ₀` itself is the first candidate.
+/// What stage 3 learns from.
+#[derive(Debug, Clone, Copy)]
+pub struct Data<'a> {
+    /// Training simulations; only the penalty looks at them, and only with [`Metric::Field`].
+    pub simulations: &'a [Case],
+    /// Events the coefficients are fitted to.
+    pub train: &'a [Event],
+    /// Events that choose among candidates.
+    pub validation: &'a [Event],
+}
+
+/// Calibrates the coefficients on the training events and keeps those best on the validation events; `Ξ₀` itself is the
+/// first candidate. With a `checkpoint_dir` an interrupted calibration goes on where it was.
 ///
 /// # Errors
 /// When events do not fit the model, or no candidate survives the validation events.
@@ -52,63 +67,131 @@ pub fn calibrate(
     model: &SourceModel,
     encoder: &SparseEncoder,
     observation: &Observation,
-    train: &[Event],
-    validation: &[Event],
+    data: &Data<'_>,
     settings: &CalibrateSettings,
+    checkpoint_dir: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<Calibration> {
-    check(model, encoder, observation, train, validation, settings)?;
+    check(model, encoder, observation, data, settings)?;
     let reader = Reader::new(model, observation);
     let bound = settings.state_bound as f32;
-    let train = Records::new(encoder, &reader, train, settings.amplitude_weighting, bound);
-    let validation = Records::new(encoder, &reader, validation, settings.amplitude_weighting, bound);
+    let train = Records::new(encoder, &reader, data.train, settings.amplitude_weighting, bound);
+    let validation = Records::new(encoder, &reader, data.validation, settings.amplitude_weighting, bound);
     let origin = model.coefficients();
-    let mut xi = origin.to_vec();
-    let mut mask = model.mask.clone();
-    let mut adam = Adam::new(xi.len());
-    let mut gradient = vec![0.0; xi.len()];
-    let mut best = (validation.error(&xi, None), xi.clone(), mask.clone());
-    let mut history = History::new(&["epoch", "total", "observation", "penalty", "terms", "validation"]);
-    history.rows.push(vec![0.0, f64::NAN, train.error(&xi, None), 0.0, count(&mask), finite_or_nan(best.0)]);
+    let start = Candidate { xi: origin.to_vec(), mask: model.mask.clone(), validation: validation.error(origin, None) };
+    let penalty = match settings.metric {
+        Metric::Coefficients => Penalty::coefficients(model),
+        Metric::Field => Penalty::field(model, data.simulations),
+    };
+    let library = model.shape.library();
+    let problem = Problem { train: &train, validation: &validation, penalty: &penalty, library, settings };
+    let print = Fingerprint::new("flare-pipe calibration v1")
+        .text(&format!("{settings:?}"))
+        .floats(&model.parameters)
+        .floats(&encoder.parameters)
+        .floats(&observation.normalised_matrix())
+        .cases(data.simulations.iter())
+        .events(data.train.iter().chain(data.validation))
+        .finish();
+    let checkpoint = checkpoint_dir.map(|dir| (dir, print));
+    let (best, history) = match settings.solver {
+        Solver::Adam => descend(&problem, &start, &checkpoint, progress),
+        Solver::GaussNewton => search(&problem, &start, &checkpoint, progress),
+    }?;
+    if !best.validation.is_finite() {
+        return Err(Error::new("no calibrated coefficients survive the validation events")
+            .hint("raise `penalty` or the first of `penalty_ladder`"));
+    }
+    Ok(Calibration {
+        cosine_similarity: cosine_similarity(origin, &best.xi),
+        coefficients: best.xi,
+        mask: best.mask,
+        validation_error: best.validation,
+        history,
+    })
+}
+
+/// Coefficients on trial.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Candidate {
+    /// Ξ per sample, `[n_term · r]`.
+    pub xi: Vec<f32>,
+    /// Which coefficients are kept.
+    pub mask: Vec<bool>,
+    /// Complete-rollout error of the validation events, infinite where one diverges.
+    pub validation: f64,
+}
+
+impl Candidate {
+    /// Number of kept coefficients.
+    pub fn terms(&self) -> f64 {
+        self.mask.iter().filter(|k| **k).count() as f64
+    }
+
+    /// Removes kept coefficients below `threshold` for good; whether there were any.
+    pub fn threshold(&mut self, threshold: f64) -> bool {
+        let before = self.terms();
+        for (c, keep) in self.xi.iter_mut().zip(&mut self.mask) {
+            *keep &= f64::from(c.abs()) >= threshold;
+            *c = if *keep { *c } else { 0.0 };
+        }
+        self.terms() < before
+    }
+}
+
+/// Where a solver keeps its state, and under which fingerprint.
+type Checkpoint<'a> = Option<(&'a Path, String)>;
+
+fn search(
+    problem: &Problem<'_>,
+    start: &Candidate,
+    checkpoint: &Checkpoint<'_>,
+    progress: &dyn Progress,
+) -> Result<(Candidate, History)> {
+    let settings = problem.settings;
+    let kept = checkpoint.as_ref().and_then(|(dir, print)| Search::load(dir, print));
+    let mut search = kept.unwrap_or_else(|| Search::new(start.clone()));
+    progress.start("calibrate", (settings.free_terms.len() * settings.penalty_ladder.len()) as u64);
+    progress.advance(search.rungs_done(settings) as u64);
+    while !search.is_done(settings) {
+        let before = search.rungs_done(settings);
+        search.advance(problem, start);
+        if let Some((dir, print)) = checkpoint {
+            search.save(dir, print)?;
+        }
+        progress.advance((search.rungs_done(settings) - before) as u64);
+    }
+    Ok((search.best, search.history))
+}
+
+fn descend(
+    problem: &Problem<'_>,
+    start: &Candidate,
+    checkpoint: &Checkpoint<'_>,
+    progress: &dyn Progress,
+) -> Result<(Candidate, History)> {
+    let settings = problem.settings;
+    let kept = checkpoint.as_ref().and_then(|(dir, print)| Descent::load(dir, print));
+    let mut descent = kept.unwrap_or_else(|| Descent::new(problem, start.clone()));
     progress.start("calibrate", settings.epochs as u64);
-    for epoch in 0..settings.epochs {
-        let error = train.error(&xi, Some(&mut gradient));
-        let penalty = relative_penalty(origin, &xi, model.shape.latent, settings.penalty, &mut gradient);
-        gradient.iter_mut().zip(&mask).filter(|(_, keep)| !**keep).for_each(|(g, _)| *g = 0.0);
-        let rate = settings.learning_rate * cosine(epoch as f64 / settings.epochs as f64, settings.final_rate_share);
-        adam.update(&mut xi, &gradient, &[(0..origin.len(), rate)], CLIP);
-        let done = epoch + 1;
-        if thresholds_after(done, settings.epochs, settings.threshold_every) {
-            for (c, keep) in xi.iter_mut().zip(&mut mask) {
-                *keep &= f64::from(c.abs()) >= settings.threshold;
-                *c = if *keep { *c } else { 0.0 };
-            }
-            adam.restart();
+    progress.advance(descent.epoch as u64);
+    while descent.epoch < settings.epochs {
+        descent.advance(problem);
+        if let Some((dir, print)) = checkpoint
+            && descent.epoch.is_multiple_of(CHECKPOINT_EVERY)
+        {
+            descent.save(dir, print)?;
         }
-        let is_judged = done == settings.epochs || done.is_multiple_of(settings.validate_every);
-        let judged = if is_judged { validation.error(&xi, None) } else { f64::INFINITY };
-        if judged < best.0 {
-            best = (judged, xi.clone(), mask.clone());
-        }
-        let total = error + settings.penalty * penalty;
-        history.rows.push(vec![done as f64, total, error, penalty, count(&mask), finite_or_nan(judged)]);
         progress.advance(1);
     }
-    let (validation_error, coefficients, mask) = best;
-    if !validation_error.is_finite() {
-        return Err(Error::new("no calibrated coefficients survive the validation events")
-            .hint("lower `learning_rate`, or raise `penalty`"));
-    }
-    let cosine_similarity = cosine_similarity(origin, &coefficients);
-    Ok(Calibration { coefficients, mask, cosine_similarity, validation_error, history })
+    Ok((descent.best, descent.history))
 }
 
 fn check(
     model: &SourceModel,
     encoder: &SparseEncoder,
     observation: &Observation,
-    train: &[Event],
-    validation: &[Event],
+    data: &Data<'_>,
     settings: &CalibrateSettings,
 ) -> Result<()> {
     if let Some((key, problem)) = settings.problems().into_iter().next() {
@@ -124,34 +207,13 @@ fn check(
             encoder.n_sensor
         )));
     }
-    for (events, what) in [(train, "training"), (validation, "validation")] {
+    for (events, what) in [(data.train, "training"), (data.validation, "validation")] {
         if events.is_empty() {
             return Err(Error::new(format!("there is no {what} event")));
         }
         events.iter().try_for_each(|e| e.check(encoder.n_sensor, encoder.window))?;
     }
     Ok(())
-}
-
-/// `mean_k |Δξ_k|²/|ξ₀_k|²`; `factor` times its gradient is added.
-fn relative_penalty(origin: &[f32], xi: &[f32], r: usize, factor: f64, gradient: &mut [f32]) -> f64 {
-    let norms = |x: &dyn Fn(usize) -> f64| -> Vec<f64> {
-        (0..r).map(|k| (k..origin.len()).step_by(r).map(|i| x(i).powi(2)).sum()).collect()
-    };
-    let size = norms(&|i| f64::from(origin[i])).into_iter().map(|s| s.max(1e-12)).collect::<Vec<f64>>();
-    let change = norms(&|i| f64::from(xi[i] - origin[i]));
-    for (i, g) in gradient.iter_mut().enumerate() {
-        *g += (2.0 * factor * f64::from(xi[i] - origin[i]) / (size[i % r] * r as f64)) as f32;
-    }
-    change.iter().zip(&size).map(|(c, s)| c / s).sum::<f64>() / r as f64
-}
-
-fn count(mask: &[bool]) -> f64 {
-    mask.iter().filter(|k| **k).count() as f64
-}
-
-fn finite_or_nan(value: f64) -> f64 {
-    if value.is_finite() { value } else { f64::NAN }
 }
 
 fn cosine_similarity(a: &[f32], b: &[f32]) -> f64 {
@@ -180,6 +242,8 @@ mod tests {
             channels: 4,
             encoder_hidden: vec![5],
             decoder_hidden: vec![6, 5],
+            memories: Default::default(),
+            energy_levels: 0,
             ..Default::default()
         };
         let shape = Shape::new(&settings);
@@ -233,20 +297,76 @@ mod tests {
     }
 
     #[test]
-    fn the_gradient_of_the_penalty_matches_finite_differences() {
-        let (model, ..) = problem();
-        let origin = model.coefficients();
-        let xi: Vec<f32> = origin.iter().zip(random(origin.len(), 0.1, "delta")).map(|(a, b)| a + b).collect();
-        let value = |xi: &[f32]| relative_penalty(origin, xi, 3, 0.7, &mut vec![0.0; xi.len()]);
+    fn the_normal_equations_match_the_reverse_pass_and_finite_differences_of_every_residual() {
+        let (model, encoder, observation) = problem();
+        let reader = Reader::new(&model, &observation);
+        let events: Vec<Event> = (0..10).map(|i| event(90 + 3 * i, &format!("e{i}"))).collect();
+        let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
+        let xi = model.coefficients().to_vec();
+        let kept: Vec<usize> = (0..xi.len()).filter(|i| i % 4 != 1).collect();
+        let normal = records.normal(&xi, &kept);
         let mut gradient = vec![0.0; xi.len()];
-        relative_penalty(origin, &xi, 3, 0.7, &mut gradient);
-        for i in 0..xi.len() {
-            let (mut up, mut down) = (xi.clone(), xi.clone());
-            up[i] += 1e-3;
-            down[i] -= 1e-3;
-            let slope = 0.7 * (value(&up) - value(&down)) / f64::from(up[i] - down[i]);
-            assert!((f64::from(gradient[i]) - slope).abs() < 1e-4 * (1.0 + slope.abs()));
+        let error = records.error(&xi, Some(&mut gradient));
+        let largest = gradient.iter().fold(0.0_f64, |top, g| top.max(f64::from(g.abs())));
+        for (i, at) in kept.iter().enumerate() {
+            let (found, exact) = (2.0 * normal.slope(i), f64::from(gradient[*at]));
+            assert!((found - exact).abs() < 1e-4 * largest, "coefficient {at}: {found} {exact}");
         }
+        // the responses, weighted as the residuals are, at coefficients moved by h
+        let responses = |i: usize, h: f32| -> Vec<f64> {
+            let mut moved = xi.clone();
+            moved[i] += h;
+            let mut all = Vec::new();
+            for group in &records.groups {
+                let n_step = group.forcing.n_step();
+                let rolled = records.roll_out(group, &moved);
+                for (lane, target) in group.target.iter().enumerate() {
+                    let scale = (f64::from(group.weight[lane]) / records.count).sqrt();
+                    let series = &rolled.response[lane * n_step * 2..][2..target.len()];
+                    all.extend(series.iter().map(|y| scale * f64::from(*y)));
+                }
+            }
+            all
+        };
+        let jacobian: Vec<Vec<f64>> = kept
+            .iter()
+            .map(|i| {
+                let (up, down) = (responses(*i, 4e-3), responses(*i, -4e-3));
+                up.iter().zip(&down).map(|(a, b)| (a - b) / 8e-3).collect()
+            })
+            .collect();
+        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+        for i in 0..kept.len() {
+            for j in 0..kept.len() {
+                let exact = dot(&jacobian[i], &jacobian[j]);
+                let size = (dot(&jacobian[i], &jacobian[i]) * dot(&jacobian[j], &jacobian[j])).sqrt();
+                let found = normal.curvature(i, j);
+                assert!((found - exact).abs() < 2e-3 * size, "({i}, {j}): {found} {exact}");
+            }
+        }
+        assert!(error > 0.0);
+    }
+
+    #[test]
+    fn the_number_of_threads_changes_no_byte_of_a_calibration() {
+        let (model, encoder, observation) = problem();
+        let events: Vec<Event> = (0..10).map(|i| event(70 + 3 * i, &format!("e{i}"))).collect();
+        let settings = CalibrateSettings {
+            metric: Metric::Coefficients,
+            penalty_ladder: vec![1.0, 0.1],
+            steps: 2,
+            ..Default::default()
+        };
+        let run = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
+            let quiet = crate::progress::Quiet;
+            pool.install(|| {
+                let data = Data { simulations: &[], train: &events[..8], validation: &events[8..] };
+                calibrate(&model, &encoder, &observation, &data, &settings, None, &quiet)
+            })
+            .expect("calibrates")
+        };
+        assert!(run(1) == run(3));
     }
 
     #[test]
@@ -276,17 +396,33 @@ mod tests {
                 e
             })
             .collect();
-        let settings = CalibrateSettings {
+        let first = Records::new(&encoder, &Reader::new(&model, &observation), &events[4..], 1.0, 1e3)
+            .error(model.coefficients(), None);
+        let adam = CalibrateSettings {
+            solver: Solver::Adam,
+            metric: Metric::Coefficients,
             epochs: 1500,
             penalty: 0.0,
             threshold_every: 0,
             learning_rate: 2e-2,
             ..Default::default()
         };
-        let quiet = crate::progress::Quiet;
-        let result = calibrate(&model, &encoder, &observation, &events[..4], &events[4..], &settings, &quiet)
+        let gauss_newton = CalibrateSettings {
+            solver: Solver::GaussNewton,
+            metric: Metric::Coefficients,
+            penalty_ladder: vec![1e-2, 1e-4, 1e-6],
+            steps: 10,
+            threshold: 0.0,
+            ..Default::default()
+        };
+        for (settings, share) in [(adam, 0.02), (gauss_newton, 1e-4)] {
+            let quiet = crate::progress::Quiet;
+            let result = {
+                let data = Data { simulations: &[], train: &events[..4], validation: &events[4..] };
+                calibrate(&model, &encoder, &observation, &data, &settings, None, &quiet)
+            }
             .expect("calibrates");
-        let first = result.history.column("validation").expect("column")[0];
-        assert!(result.validation_error < 0.02 * first, "{} from {first}", result.validation_error);
+            assert!(result.validation_error < share * first, "{} from {first}", result.validation_error);
+        }
     }
 }

@@ -6,7 +6,7 @@ use super::history::History;
 use super::mlp::{Mlp, Tensor};
 use super::model::{Shape, SourceModel, SparseEncoder};
 use super::observation::Observation;
-use super::resume::{bytes_f32, bytes_mask, floats};
+use super::snapshot::{bytes_f32, bytes_mask, floats};
 use crate::error::{Context, Error, Result};
 use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};

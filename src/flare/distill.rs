@@ -13,17 +13,22 @@ use super::mlp::{Mlp, Tape};
 use super::model::{SourceModel, SparseEncoder, windows};
 use super::ridge::Regression;
 use super::settings::DistillSettings;
+use super::snapshot::Fingerprint;
 use crate::error::{Error, Result};
 use crate::numerics::random::stream;
 use crate::progress::Progress;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
+use std::path::Path;
 
 /// Rows of one chunk; a batch is cut alike on any number of threads.
 const CHUNK: usize = 128;
+/// Epochs between checkpoints.
+const CHECKPOINT_EVERY: usize = 10;
 
-/// Trains a sparse encoder and returns the best candidate with the loss history.
+/// Trains a sparse encoder and returns the best candidate with the loss history. With a `checkpoint_dir` an interrupted
+/// training goes on where it was.
 ///
 /// # Errors
 /// When cases do not fit the settings or the source model.
@@ -33,6 +38,7 @@ pub fn distill(
     validation: &[Case],
     settings: &DistillSettings,
     seed: u64,
+    checkpoint_dir: Option<&Path>,
     progress: &dyn Progress,
 ) -> Result<(SparseEncoder, History)> {
     let n_sensor = check(model, train, validation, settings)?;
@@ -43,35 +49,82 @@ pub fn distill(
     if let Some(range) = network.skip_range() {
         parameters[range].copy_from_slice(&pairs.linear_map()?);
     }
-    let mut history = History::new(&["epoch", "latent", "validation_latent"]);
-    let mut adam = Adam::new(parameters.len());
-    let mut best = (f64::INFINITY, parameters.clone());
-    let mut gradient = vec![0.0; parameters.len()];
+    let print = Fingerprint::new("flare-pipe distillation v1")
+        .text(&format!("{settings:?} {seed}"))
+        .floats(&model.parameters)
+        .cases(train.iter().chain(validation))
+        .floats(&pairs.x)
+        .finish();
+    let mut state =
+        checkpoint_dir.and_then(|dir| DistillState::load(dir, &print)).unwrap_or_else(|| DistillState::new(parameters));
     progress.start("distill", settings.epochs as u64);
-    for epoch in 0..settings.epochs {
-        let factor = cosine(epoch as f64 / settings.epochs as f64, settings.final_rate_share);
-        let groups = [(0..parameters.len(), factor * settings.learning_rate)];
-        let mut random = stream(seed, &format!("distill epoch {epoch}"));
-        let n = pairs.n_row / pairs.n_sign;
-        let mut order: Vec<usize> = (0..n).map(|i| i + n * random.random_range(0..pairs.n_sign)).collect();
-        order.shuffle(&mut random);
-        let mut mean = 0.0;
-        for batch in order.chunks(settings.batch) {
-            mean += pairs.loss(&network, &parameters, batch, Some(&mut gradient)) * batch.len() as f64 / n as f64;
-            adam.update(&mut parameters, &gradient, &groups, f64::INFINITY);
-        }
+    progress.advance(state.epoch as u64);
+    while state.epoch < settings.epochs {
+        let mean = epoch(&network, &pairs, settings, seed, &mut state);
         let all: Vec<usize> = (0..check.n_row).collect();
-        let error = check.loss(&network, &parameters, &all, None);
-        if error < best.0 {
-            best = (error, parameters.clone());
+        let error = check.loss(&network, &state.parameters, &all, None);
+        if error < state.best.0 {
+            state.best = (error, state.parameters.clone());
         }
-        history.rows.push(vec![(epoch + 1) as f64, mean, error]);
+        state.epoch += 1;
+        state.history.rows.push(vec![state.epoch as f64, mean, error]);
+        if let Some(dir) = checkpoint_dir
+            && state.epoch.is_multiple_of(CHECKPOINT_EVERY)
+        {
+            state.save(dir, &print)?;
+        }
         progress.advance(1);
     }
+    let DistillState { best, history, .. } = state;
     if !best.0.is_finite() {
         return Err(Error::new("the sparse encoder never gave a finite error").hint("lower `learning_rate`"));
     }
     Ok((SparseEncoder { window: settings.window, n_sensor, network, parameters: best.1 }, history))
+}
+
+/// All that the next epoch depends on.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DistillState {
+    /// Epochs done.
+    pub epoch: usize,
+    /// Parameters of the network.
+    pub parameters: Vec<f32>,
+    /// The optimiser.
+    pub adam: Adam,
+    /// The lowest validation error and its parameters.
+    pub best: (f64, Vec<f32>),
+    /// Losses so far.
+    pub history: History,
+}
+
+impl DistillState {
+    fn new(parameters: Vec<f32>) -> Self {
+        Self {
+            epoch: 0,
+            adam: Adam::new(parameters.len()),
+            best: (f64::INFINITY, parameters.clone()),
+            parameters,
+            history: History::new(&["epoch", "latent", "validation_latent"]),
+        }
+    }
+}
+
+/// One pass over the training windows; returns its mean loss.
+fn epoch(network: &Mlp, pairs: &Pairs, settings: &DistillSettings, seed: u64, state: &mut DistillState) -> f64 {
+    let factor = cosine(state.epoch as f64 / settings.epochs as f64, settings.final_rate_share);
+    let groups = [(0..state.parameters.len(), factor * settings.learning_rate)];
+    let mut gradient = vec![0.0; state.parameters.len()];
+    let mut random = stream(seed, &format!("distill epoch {}", state.epoch));
+    let n = pairs.n_row / pairs.n_sign;
+    let mut order: Vec<usize> = (0..n).map(|i| i + n * random.random_range(0..pairs.n_sign)).collect();
+    order.shuffle(&mut random);
+    let mut mean = 0.0;
+    for batch in order.chunks(settings.batch) {
+        let loss = pairs.loss(network, &state.parameters, batch, Some(&mut gradient));
+        mean += loss * batch.len() as f64 / n as f64;
+        state.adam.update(&mut state.parameters, &gradient, &groups, f64::INFINITY);
+    }
+    mean
 }
 
 fn check(model: &SourceModel, train: &[Case], validation: &[Case], settings: &DistillSettings) -> Result<usize> {

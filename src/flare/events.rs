@@ -4,6 +4,7 @@ use super::adjoint::reverse;
 use super::case::{Event, amplitude_weights};
 use super::integrator::{Forcing, Trajectory, rollout};
 use super::kernels::{LANES, Lanes};
+use super::memory::Drive;
 use super::mlp::{Mlp, Tape};
 use super::model::{SourceModel, SparseEncoder};
 use super::objective::{from_lanes, to_lanes};
@@ -13,7 +14,7 @@ use rayon::prelude::*;
 
 /// `C D` as one network: the observation matrix folded into the decoder's last layer.
 pub struct Reader<'a> {
-    model: &'a SourceModel,
+    pub(super) model: &'a SourceModel,
     /// The folded network.
     pub network: Mlp,
     /// Its parameters.
@@ -48,18 +49,20 @@ impl<'a> Reader<'a> {
 
 /// Events ready to be rolled out, in groups of lanes.
 pub struct Records<'a> {
-    reader: &'a Reader<'a>,
-    groups: Vec<Group>,
+    pub(super) reader: &'a Reader<'a>,
+    pub(super) groups: Vec<Group>,
     bound: f32,
-    count: f64,
+    /// Predicted values of all events.
+    pub(super) count: f64,
 }
 
-struct Group {
-    forcing: Forcing,
-    z0: Vec<Lanes>,
-    n_lane: usize,
-    target: Vec<Vec<f32>>,
-    weight: Vec<f32>,
+/// Up to [`LANES`] events side by side.
+pub(super) struct Group {
+    pub forcing: Forcing,
+    pub z0: Vec<Lanes>,
+    pub n_lane: usize,
+    pub target: Vec<Vec<f32>>,
+    pub weight: Vec<f32>,
 }
 
 impl<'a> Records<'a> {
@@ -69,15 +72,16 @@ impl<'a> Records<'a> {
         let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
         let starting: Vec<Vec<f32>> =
             events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
+        let drives: Vec<Drive> = events.iter().map(|e| reader.model.shape.drive(&e.u, &e.u_half, 1.0)).collect();
         let starts: Vec<Start<'_>> =
-            events.iter().zip(&starting).map(|(e, z0)| Start { z0, u: &e.u[t0..], u_half: &e.u_half[t0..] }).collect();
+            drives.iter().zip(&starting).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
         let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * encoder.n_sensor..].to_vec()).collect();
         let count: usize = targets.iter().map(|t| t.len() - encoder.n_sensor).sum();
         let groups = starts
             .chunks(LANES)
             .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
             .map(|(starts, (target, weight))| {
-                let (forcing, z0) = load_group(reader.model.shape.latent, starts, 1.0);
+                let (forcing, z0) = load_group(reader.model.shape.latent, starts);
                 Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
             })
             .collect();
@@ -88,50 +92,84 @@ impl<'a> Records<'a> {
     /// (overwritten) the samples past a divergence count as a response of zero.
     pub fn error(&self, xi: &[f32], gradient: Option<&mut [f32]>) -> f64 {
         let is_wanted = gradient.is_some();
-        let parts: Vec<(f64, Vec<f32>)> = self.groups.par_iter().map(|g| self.group(g, xi, is_wanted)).collect();
+        let parts: Vec<Part> = self.groups.par_iter().map(|g| self.part(g, xi, is_wanted)).collect();
+        if !is_wanted && parts.iter().any(|p| !p.is_bounded) {
+            return f64::INFINITY;
+        }
         if let Some(gradient) = gradient {
             gradient.fill(0.0);
-            parts.iter().for_each(|(_, part)| gradient.iter_mut().zip(part).for_each(|(a, b)| *a += b));
+            parts.iter().for_each(|p| gradient.iter_mut().zip(&p.gradient).for_each(|(a, b)| *a += b));
         }
-        parts.iter().map(|(sum, _)| sum).sum()
+        parts.iter().map(|p| p.sum).sum()
     }
 
-    fn group(&self, group: &Group, xi: &[f32], is_wanted: bool) -> (f64, Vec<f32>) {
+    /// The same error with samples past a divergence counted as a response of zero, and whether no rollout diverges.
+    pub fn misfit(&self, xi: &[f32]) -> (f64, bool) {
+        let parts: Vec<Part> = self.groups.par_iter().map(|g| self.part(g, xi, false)).collect();
+        (parts.iter().map(|p| p.sum).sum(), parts.iter().all(|p| p.is_bounded))
+    }
+
+    fn part(&self, group: &Group, xi: &[f32], is_wanted: bool) -> Part {
         let library = self.reader.model.shape.library();
         let (r, n_sensor) = (library.latent, self.reader.network.n_output());
-        let n_step = group.forcing.u.len();
-        let mut trajectory = Trajectory::default();
-        rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
-        if !is_wanted && trajectory.valid != group.forcing.length {
-            return (f64::INFINITY, Vec::new());
-        }
-        let mut z = vec![0.0; group.n_lane * n_step * r];
-        from_lanes(&trajectory.z, r, n_step, &mut z);
-        let (mut tape, mut response) = (Tape::default(), Vec::new());
-        self.reader.network.forward(&self.reader.parameters, &z, &mut tape, &mut response);
+        let n_step = group.forcing.n_step();
+        let mut rolled = self.roll_out(group, xi);
+        let valid = rolled.trajectory.valid;
+        let is_bounded = valid == group.forcing.length;
         let mut sum = 0.0;
-        for (lane, series) in response.chunks_exact_mut(n_step * n_sensor).enumerate() {
+        for (lane, series) in rolled.response.chunks_exact_mut(n_step * n_sensor).enumerate() {
             let scale = f64::from(group.weight[lane]) / self.count;
             let (inside, beyond) = series.split_at_mut(group.target[lane].len());
             beyond.fill(0.0);
             let (initial, predicted) = inside.split_at_mut(n_sensor);
             initial.fill(0.0); // part of the window, not of the prediction
             for (i, (a, target)) in predicted.iter_mut().zip(&group.target[lane][n_sensor..]).enumerate() {
-                let is_valid = i / n_sensor + 1 < trajectory.valid[lane];
+                let is_valid = i / n_sensor + 1 < valid[lane];
                 let error = if is_valid { *a - target } else { -target };
                 sum += scale * f64::from(error).powi(2);
                 *a = if is_valid { (2.0 * scale) as f32 * error } else { 0.0 };
             }
         }
         if !is_wanted {
-            return (sum, Vec::new());
+            return Part { sum, is_bounded, gradient: Vec::new() };
         }
+        let Rolled { trajectory, z, mut tape, response } = rolled;
         let mut d_z = vec![0.0; z.len()];
         self.reader.network.backward(&self.reader.parameters, &z, &mut tape, &response, None, Some(&mut d_z));
         let mut dz = Vec::new();
         to_lanes(&d_z, r, n_step, group.n_lane, &mut dz);
         let mut dxi = vec![Lanes::ZERO; xi.len()];
         reverse(library, xi, &group.forcing, &trajectory, &mut dz, &mut dxi);
-        (sum, dxi.iter().map(Lanes::sum).collect())
+        Part { sum, is_bounded, gradient: dxi.iter().map(Lanes::sum).collect() }
     }
+
+    /// Rolls a group out and reads the sensors.
+    pub(super) fn roll_out(&self, group: &Group, xi: &[f32]) -> Rolled {
+        let library = self.reader.model.shape.library();
+        let mut trajectory = Trajectory::default();
+        rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
+        let n_step = group.forcing.n_step();
+        let mut z = vec![0.0; group.n_lane * n_step * library.latent];
+        from_lanes(&trajectory.z, library.latent, n_step, &mut z);
+        let (mut tape, mut response) = (Tape::default(), Vec::new());
+        self.reader.network.forward(&self.reader.parameters, &z, &mut tape, &mut response);
+        Rolled { trajectory, z, tape, response }
+    }
+}
+
+/// What one group adds to the error.
+struct Part {
+    sum: f64,
+    is_bounded: bool,
+    gradient: Vec<f32>,
+}
+
+/// A group rolled out, and what its sensors would read.
+pub(super) struct Rolled {
+    pub trajectory: Trajectory,
+    /// States `[lane][t][r]`.
+    pub z: Vec<f32>,
+    pub tape: Tape,
+    /// `[lane][t][n_sensor]`.
+    pub response: Vec<f32>,
 }

@@ -10,36 +10,60 @@
 
 use super::kernels::{Kernel, LANES, Lanes, dispatch};
 use super::library::Library;
+use super::memory::Drive;
+use std::ops::Range;
 
-/// What drives a group: base acceleration at the samples and half-way between, and how long each lane lasts.
+/// What drives a group: base acceleration and memories at the samples and half-way between, and how long each lane lasts.
 #[derive(Debug, Clone, Default)]
 pub struct Forcing {
-    /// `[n_step]`.
-    pub u: Vec<Lanes>,
-    /// `[n_step − 1]`.
-    pub u_half: Vec<Lanes>,
+    /// Values a sample.
+    pub width: usize,
+    /// `[n_step · width]`.
+    pub at: Vec<Lanes>,
+    /// `[(n_step − 1) · width]`.
+    pub half: Vec<Lanes>,
     /// Samples of each lane, at most `n_step`; 0 for an unused lane.
     pub length: [usize; LANES],
 }
 
 impl Forcing {
     /// Zeroes everything for `n_step` samples and no lane in use.
-    pub fn reset(&mut self, n_step: usize) {
-        self.u.clear();
-        self.u.resize(n_step, Lanes::ZERO);
-        self.u_half.clear();
-        self.u_half.resize(n_step.saturating_sub(1), Lanes::ZERO);
+    pub fn reset(&mut self, n_step: usize, width: usize) {
+        self.width = width;
+        self.at.clear();
+        self.at.resize(n_step * width, Lanes::ZERO);
+        self.half.clear();
+        self.half.resize(n_step.saturating_sub(1) * width, Lanes::ZERO);
         self.length = [0; LANES];
     }
 
-    /// Puts one sequence into `lane`, multiplied by `sign`.
-    pub fn set(&mut self, lane: usize, u: &[f32], u_half: &[f32], sign: f32) {
-        self.length[lane] = u.len();
-        for (to, from) in self.u.iter_mut().zip(u) {
-            to.0[lane] = from * sign;
+    /// Samples of the longest lane.
+    pub fn n_step(&self) -> usize {
+        self.at.len() / self.width.max(1)
+    }
+
+    /// Puts samples `range` of a drive into `lane`, the base acceleration multiplied by `sign`.
+    pub fn set(&mut self, lane: usize, drive: &Drive, range: Range<usize>, sign: f32) {
+        self.length[lane] = range.len();
+        let w = self.width;
+        let halves = range.start * w..range.end.saturating_sub(1).max(range.start) * w;
+        for (to, from) in
+            [(&mut self.at, &drive.at[range.start * w..range.end * w]), (&mut self.half, &drive.half[halves])]
+        {
+            for (i, (to, from)) in to.iter_mut().zip(from).enumerate() {
+                to.0[lane] = if i % w == 0 { from * sign } else { *from };
+            }
         }
-        for (to, from) in self.u_half.iter_mut().zip(&u_half[..u.len().saturating_sub(1)]) {
-            to.0[lane] = from * sign;
+    }
+
+    /// The drive of Runge–Kutta stage `s` of the step that ends at sample `t`.
+    #[inline(always)]
+    pub fn stage(&self, t: usize, s: usize) -> &[Lanes] {
+        let w = self.width;
+        match s {
+            0 => &self.at[(t - 1) * w..t * w],
+            1 | 2 => &self.half[(t - 1) * w..t * w],
+            _ => &self.at[t * w..(t + 1) * w],
         }
     }
 }
@@ -66,7 +90,7 @@ struct Rollout<'a> {
 /// Rolls the group out from `z0[r]` through `forcing`, in place in `to`.
 pub fn rollout(library: Library, xi: &[f32], z0: &[Lanes], forcing: &Forcing, bound: f32, to: &mut Trajectory) {
     let r = library.latent;
-    let n_step = forcing.u.len();
+    let n_step = forcing.n_step();
     to.z.clear();
     to.z.resize(n_step * r, Lanes::ZERO);
     to.stages.clear();
@@ -84,7 +108,7 @@ impl Kernel for Rollout<'_> {
     #[inline(always)]
     fn run<const FMA: bool>(self) {
         let r = self.library.latent;
-        let n_step = self.forcing.u.len();
+        let n_step = self.forcing.n_step();
         let mut theta = vec![Lanes::ZERO; self.library.n_term()];
         let mut slope = vec![Lanes::ZERO; r];
         let mut sum = vec![Lanes::ZERO; r];
@@ -95,12 +119,7 @@ impl Kernel for Rollout<'_> {
             sum.fill(Lanes::ZERO);
             stages[..r].copy_from_slice(z);
             for (s, (ahead, weight)) in [(0.5, 1.0), (0.5, 2.0), (1.0, 2.0), (0.0, 1.0)].into_iter().enumerate() {
-                let u = match s {
-                    0 => &self.forcing.u[t - 1],
-                    1 | 2 => &self.forcing.u_half[t - 1],
-                    _ => &self.forcing.u[t],
-                };
-                self.library.terms(&stages[s * r..(s + 1) * r], u, &mut theta);
+                self.library.terms(&stages[s * r..(s + 1) * r], self.forcing.stage(t, s), &mut theta);
                 self.library.combine::<FMA>(&theta, self.xi, &mut slope);
                 for k in 0..r {
                     sum[k].add_scaled::<FMA>(&slope[k], weight);
@@ -145,7 +164,7 @@ mod tests {
 
     /// A damped oscillator `z1' = z2, z2' = −ω² z1 − 2ζω z2 + u` in units of `step`.
     fn oscillator(step: f64) -> Vec<f32> {
-        let library = Library { latent: 2 };
+        let library = Library { latent: 2, memories: 0, energies: 0 };
         let mut xi = vec![0.0; library.n_coefficient()];
         let (omega, zeta) = (3.0, 0.05);
         xi[2 * 2] = step as f32;
@@ -160,10 +179,17 @@ mod tests {
         let series: Vec<f32> = (0..n_step).map(|i| u(i as f64 * step)).collect();
         let half: Vec<f32> = (0..n_step - 1).map(|i| u((i as f64 + 0.5) * step)).collect();
         let mut forcing = Forcing::default();
-        forcing.reset(n_step);
-        forcing.set(5, &series, &half, 1.0);
+        forcing.reset(n_step, 1);
+        forcing.set(5, &Drive { width: 1, at: series, half }, 0..n_step, 1.0);
         let mut to = Trajectory::default();
-        rollout(Library { latent: 2 }, &oscillator(step), &[Lanes::ZERO; 2], &forcing, 1e3, &mut to);
+        rollout(
+            Library { latent: 2, memories: 0, energies: 0 },
+            &oscillator(step),
+            &[Lanes::ZERO; 2],
+            &forcing,
+            1e3,
+            &mut to,
+        );
         assert_eq!(to.valid[5], n_step);
         f64::from(to.z[(n_step - 1) * 2].0[5])
     }
@@ -179,12 +205,13 @@ mod tests {
 
     #[test]
     fn a_diverging_lane_ends_and_leaves_its_neighbours_alone() {
-        let library = Library { latent: 1 };
+        let library = Library { latent: 1, memories: 0, energies: 0 };
         let xi = [0.0, 0.0, 1.0, 0.0]; // z' = z², finite-time blow-up from a positive start
         let mut forcing = Forcing::default();
-        forcing.reset(50);
-        forcing.set(0, &[0.0; 50], &[0.0; 49], 1.0);
-        forcing.set(1, &[0.0; 50], &[0.0; 49], 1.0);
+        forcing.reset(50, 1);
+        let still = Drive { width: 1, at: vec![0.0; 50], half: vec![0.0; 49] };
+        forcing.set(0, &still, 0..50, 1.0);
+        forcing.set(1, &still, 0..50, 1.0);
         let mut z0 = [Lanes::ZERO];
         z0[0].0[0] = 0.5;
         z0[0].0[1] = -0.5;

@@ -192,15 +192,15 @@ fn layer(y: &mut [f32], x: &[f32], weight: &[f32], n: usize, from: usize, to: us
     product(view_mut(y, n, to), Accum::Replace, view(x, n, from), view(weight, to, from).transpose());
 }
 
-fn view(slice: &[f32], rows: usize, columns: usize) -> MatRef<'_, f32> {
+pub(super) fn view(slice: &[f32], rows: usize, columns: usize) -> MatRef<'_, f32> {
     MatRef::from_row_major_slice(&slice[..rows * columns], rows, columns)
 }
 
-fn view_mut(slice: &mut [f32], rows: usize, columns: usize) -> MatMut<'_, f32> {
+pub(super) fn view_mut(slice: &mut [f32], rows: usize, columns: usize) -> MatMut<'_, f32> {
     MatMut::from_row_major_slice_mut(&mut slice[..rows * columns], rows, columns)
 }
 
-fn product(to: MatMut<'_, f32>, accum: Accum, a: MatRef<'_, f32>, b: MatRef<'_, f32>) {
+pub(super) fn product(to: MatMut<'_, f32>, accum: Accum, a: MatRef<'_, f32>, b: MatRef<'_, f32>) {
     matmul(to, accum, a, b, 1.0, Par::Seq);
 }
 

@@ -1,6 +1,7 @@
 //! The learned models as plain data: the source model (encoder, latent equations, decoder) and the sparse encoder.
 
 use super::library::Library;
+use super::memory::{Drive, Memories};
 use super::mlp::{Mlp, Tape};
 use super::settings::{DistillSettings, PretrainSettings};
 use serde::{Deserialize, Serialize};
@@ -23,6 +24,12 @@ pub struct Shape {
     pub decoder_hidden: Vec<usize>,
     /// Whether encoder and decoder have a straight linear path.
     pub has_linear_path: bool,
+    /// Memories of the shaking in the latent equations.
+    #[serde(default)]
+    pub memories: Memories,
+    /// Levels of energy in the latent equations.
+    #[serde(default)]
+    pub energy_levels: usize,
 }
 
 impl Shape {
@@ -36,12 +43,19 @@ impl Shape {
             encoder_hidden: settings.encoder_hidden.clone(),
             decoder_hidden: settings.decoder_hidden.clone(),
             has_linear_path: settings.linear_start,
+            memories: settings.memories.clone(),
+            energy_levels: settings.energy_levels,
         }
     }
 
     /// The candidate library.
     pub fn library(&self) -> Library {
-        Library { latent: self.latent }
+        Library { latent: self.latent, memories: self.memories.count(), energies: self.energy_levels }
+    }
+
+    /// What drives the latent equations through a motion `u[n_step]`, `u_half[n_step − 1]`, multiplied by `factor`.
+    pub fn drive(&self, u: &[f32], u_half: &[f32], factor: f32) -> Drive {
+        Drive::new(&self.memories, self.step_s, u, u_half, factor)
     }
 
     /// The source encoder E_T.

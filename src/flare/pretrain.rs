@@ -3,6 +3,7 @@
 use super::adam::cosine;
 use super::case::{Case, amplitude_weights};
 use super::history::History;
+use super::memory::Drive;
 use super::model::{Shape, SourceModel};
 use super::objective::{Objective, Scratch, Segment, Terms};
 use super::resume::{TrainingState, fingerprint};
@@ -56,9 +57,11 @@ pub fn pretrain(
     let judge_weight = amplitude_weights(validation.iter().map(|c| c.dense.as_slice()), settings.amplitude_weighting);
     let judge =
         |model: &SourceModel| judge(model, validation, &judge_weight, settings.stress_factor, settings.state_bound);
+    let drives: Vec<Drive> = train.iter().map(|c| shape.drive(&c.u, &c.u_half, 1.0)).collect();
     let objective = Objective {
         shape: &shape,
         cases: train,
+        drives: &drives,
         case_weight: &case_weight,
         weights: settings.loss,
         bound: settings.state_bound as f32,

@@ -1,6 +1,6 @@
 //! The single terms of the stage-1 loss with their cotangents: response, latent state, latent equation.
 
-use super::integrator::Trajectory;
+use super::integrator::{Forcing, Trajectory};
 use super::kernels::{Kernel, LANES, Lanes};
 use super::library::{Library, accumulate_outer, transpose};
 
@@ -49,8 +49,8 @@ pub struct EquationResidual<'a> {
     pub library: Library,
     /// Ξ per sample, `[n_term · r]`.
     pub xi: &'a [f32],
-    /// Base acceleration, `[n_step]`.
-    pub u: &'a [Lanes],
+    /// Base acceleration and memories.
+    pub forcing: &'a Forcing,
     /// Encoded states, `[n_step · r]`.
     pub z: &'a [Lanes],
     /// Weight of each lane.
@@ -75,9 +75,10 @@ impl Kernel for EquationResidual<'_> {
         let mut work = vec![Lanes::ZERO; m];
         let mut g = vec![Lanes::ZERO; r];
         let mut total = 0.0;
-        for t in 1..self.u.len().saturating_sub(1) {
+        for t in 1..self.forcing.n_step().saturating_sub(1) {
+            let drive = self.forcing.stage(t + 1, 0);
             let z = &self.z[t * r..(t + 1) * r];
-            self.library.terms(z, &self.u[t], &mut theta);
+            self.library.terms(z, drive, &mut theta);
             self.library.combine::<FMA>(&theta, self.xi, &mut g);
             let mut sum = Lanes::ZERO;
             for (k, g) in g.iter_mut().enumerate() {
@@ -90,7 +91,7 @@ impl Kernel for EquationResidual<'_> {
                 self.dz[(t + 1) * r + k].add_scaled::<FMA>(g, -0.5);
                 self.dz[(t - 1) * r + k].add_scaled::<FMA>(g, 0.5);
             }
-            self.library.pull_back::<FMA>(z, &xi_t, &g, &mut work, &mut self.dz[t * r..(t + 1) * r]);
+            self.library.pull_back::<FMA>(z, drive, &xi_t, &g, &mut work, &mut self.dz[t * r..(t + 1) * r]);
             accumulate_outer::<FMA, 1>([&theta], [&g], r, self.dxi);
             total += f64::from(sum.sum());
         }

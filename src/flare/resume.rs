@@ -1,16 +1,17 @@
-//! The training state on disk, so that a killed training goes on where it was.
+//! What each training needs to go on where it was killed, to and from its [`Snapshot`].
 
 use super::adam::Adam;
+use super::calibrate::Candidate;
 use super::case::Case;
+use super::descent::Descent;
+use super::distill::DistillState;
+use super::gauss_newton::Search;
 use super::history::History;
 use super::model::SourceModel;
 use super::settings::PretrainSettings;
+use super::snapshot::{Fingerprint, Snapshot};
 use crate::error::{Context, Result};
-use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
-use std::collections::HashMap;
 use std::path::Path;
-
-const FILE: &str = "training.safetensors";
 
 /// The best candidate so far.
 #[derive(Debug, Clone, PartialEq)]
@@ -21,7 +22,7 @@ pub struct Best {
     pub model: SourceModel,
 }
 
-/// All that the next epoch depends on.
+/// All that the next epoch of stage 1 depends on.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainingState {
     /// Epochs done.
@@ -50,105 +51,176 @@ impl TrainingState {
         }
     }
 
-    /// Writes the state beside and renames it into place.
+    /// Writes the state beside the last one and renames it into place.
     ///
     /// # Errors
     /// When the file cannot be written.
     pub fn save(&self, dir: &Path, fingerprint: &str) -> Result<()> {
         let best = self.best.as_ref();
         let best_model = best.map_or(&self.model, |b| &b.model);
-        let counters = [self.epoch as f64, f64::from(self.adam.step), best.map_or(f64::INFINITY, |b| b.score)];
-        let rows: Vec<f64> = self.history.rows.concat();
-        let entries = [
-            ("counters", Dtype::F64, bytes_f64(&counters)),
-            ("history", Dtype::F64, bytes_f64(&rows)),
-            ("parameters", Dtype::F32, bytes_f32(&self.model.parameters)),
-            ("mask", Dtype::U8, bytes_mask(&self.model.mask)),
-            ("adam.first", Dtype::F32, bytes_f32(&self.adam.first)),
-            ("adam.second", Dtype::F32, bytes_f32(&self.adam.second)),
-            ("best.parameters", Dtype::F32, bytes_f32(&best_model.parameters)),
-            ("best.mask", Dtype::U8, bytes_mask(&best_model.mask)),
-        ];
-        let describe = || format!("cannot write `{}`", dir.join(FILE).display());
-        let views: Vec<(&str, TensorView<'_>)> = entries
-            .iter()
-            .map(|(name, dtype, data)| {
-                TensorView::new(*dtype, vec![data.len() * 8 / dtype.bitsize()], data).map(|view| (*name, view))
-            })
-            .collect::<std::result::Result<_, _>>()
-            .context(describe)?;
-        let shape = serde_json::to_string(&self.model.shape).context(describe)?;
-        let card =
-            [("fingerprint", fingerprint.to_string()), ("shape", shape), ("columns", self.history.columns.join(","))];
-        let card = HashMap::from(card.map(|(key, value)| (key.to_string(), value)));
-        let bytes = serialize(views, Some(card)).context(describe)?;
-        std::fs::create_dir_all(dir).context(describe)?;
-        super::checkpoint::publish(&dir.join(FILE), &bytes)
+        let shape = serde_json::to_string(&self.model.shape).context(|| "cannot describe the model".into())?;
+        let mut snapshot = Snapshot::default();
+        snapshot.doubles("counters", &[self.epoch as f64, best.map_or(f64::INFINITY, |b| b.score)]);
+        snapshot.history(&self.history);
+        snapshot.floats("parameters", &self.model.parameters);
+        snapshot.mask("mask", &self.model.mask);
+        snapshot.floats("best.parameters", &best_model.parameters);
+        snapshot.mask("best.mask", &best_model.mask);
+        self.adam.put(&mut snapshot);
+        snapshot.text("shape", shape);
+        snapshot.save(dir, fingerprint)
     }
 
     /// The state of the same training (`fingerprint`) if there is a sound one in `dir`; anything else starts afresh.
     pub fn load(dir: &Path, fingerprint: &str) -> Option<Self> {
-        let bytes = std::fs::read(dir.join(FILE)).ok()?;
-        let (_, metadata) = SafeTensors::read_metadata(&bytes).ok()?;
-        if metadata.metadata().as_ref()?.get("fingerprint")? != fingerprint {
-            return None;
-        }
-        let tensors = SafeTensors::deserialize(&bytes).ok()?;
-        let f32s = |name: &str| Some(floats(tensors.tensor(name).ok()?.data()));
-        let f64s = |name: &str| Some(doubles(tensors.tensor(name).ok()?.data()));
-        let mask = |name: &str| Some(tensors.tensor(name).ok()?.data().iter().map(|b| *b != 0).collect::<Vec<bool>>());
-        let shape: super::model::Shape = serde_json::from_str(metadata.metadata().as_ref()?.get("shape")?).ok()?;
-        let counters = f64s("counters")?;
-        let columns = metadata.metadata().as_ref()?.get("columns")?.split(',').map(String::from).collect::<Vec<_>>();
-        let rows = f64s("history")?.chunks_exact(columns.len()).map(<[f64]>::to_vec).collect();
+        let snapshot = Snapshot::load(dir, fingerprint)?;
+        let shape: super::model::Shape = serde_json::from_str(snapshot.get_text("shape")?).ok()?;
         let model = |prefix: &str| {
             Some(SourceModel {
                 shape: shape.clone(),
-                parameters: f32s(&format!("{prefix}parameters"))?,
-                mask: mask(&format!("{prefix}mask"))?,
+                parameters: snapshot.get_floats(&format!("{prefix}parameters"))?,
+                mask: snapshot.get_mask(&format!("{prefix}mask"))?,
             })
         };
-        let best_score = *counters.get(2)?;
-        let best = if best_score.is_finite() { Some(Best { score: best_score, model: model("best.")? }) } else { None };
+        let [epoch, score] = *snapshot.get_doubles("counters")?.as_array()?;
         Some(Self {
-            epoch: *counters.first()? as usize,
+            epoch: epoch as usize,
             model: model("")?,
-            adam: Adam { first: f32s("adam.first")?, second: f32s("adam.second")?, step: *counters.get(1)? as u32 },
-            best,
-            history: History { columns, rows },
+            adam: Adam::get(&snapshot)?,
+            best: if score.is_finite() { Some(Best { score, model: model("best.")? }) } else { None },
+            history: snapshot.get_history()?,
         })
     }
 }
 
-/// Identifies a training: settings, seed and every number it learns from.
+/// Identifies a training of stage 1: settings, seed and every number it learns from.
 pub fn fingerprint<'a>(settings: &PretrainSettings, seed: u64, cases: impl Iterator<Item = &'a Case>) -> String {
-    let mut hash = blake3::Hasher::new_derive_key("flare-pipe pretraining v1");
-    hash.update(format!("{settings:?} {seed}").as_bytes());
-    for case in cases {
-        hash.update(case.id.as_bytes());
-        [&case.u, &case.u_half, &case.dense].into_iter().for_each(|x| {
-            hash.update(&bytes_f32(x));
-        });
+    Fingerprint::new("flare-pipe pretraining v2").text(&format!("{settings:?} {seed}")).cases(cases).finish()
+}
+
+impl DistillState {
+    /// As [`TrainingState::save`].
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn save(&self, dir: &Path, fingerprint: &str) -> Result<()> {
+        let mut snapshot = Snapshot::default();
+        snapshot.doubles("counters", &[self.epoch as f64, self.best.0]);
+        snapshot.history(&self.history);
+        snapshot.floats("parameters", &self.parameters);
+        snapshot.floats("best.parameters", &self.best.1);
+        self.adam.put(&mut snapshot);
+        snapshot.save(dir, fingerprint)
     }
-    hash.finalize().to_string()
+
+    /// As [`TrainingState::load`].
+    pub fn load(dir: &Path, fingerprint: &str) -> Option<Self> {
+        let snapshot = Snapshot::load(dir, fingerprint)?;
+        let [epoch, error] = *snapshot.get_doubles("counters")?.as_array()?;
+        Some(Self {
+            epoch: epoch as usize,
+            parameters: snapshot.get_floats("parameters")?,
+            adam: Adam::get(&snapshot)?,
+            best: (error, snapshot.get_floats("best.parameters")?),
+            history: snapshot.get_history()?,
+        })
+    }
 }
 
-pub(super) fn bytes_f32(values: &[f32]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+impl Descent {
+    /// As [`TrainingState::save`].
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn save(&self, dir: &Path, fingerprint: &str) -> Result<()> {
+        let mut snapshot = Snapshot::default();
+        snapshot.doubles("counters", &[self.epoch as f64]);
+        snapshot.history(&self.history);
+        self.at.put("at", &mut snapshot);
+        self.best.put("best", &mut snapshot);
+        self.adam.put(&mut snapshot);
+        snapshot.save(dir, fingerprint)
+    }
+
+    /// As [`TrainingState::load`].
+    pub fn load(dir: &Path, fingerprint: &str) -> Option<Self> {
+        let snapshot = Snapshot::load(dir, fingerprint)?;
+        Some(Self {
+            epoch: *snapshot.get_doubles("counters")?.first()? as usize,
+            at: Candidate::get("at", &snapshot)?,
+            best: Candidate::get("best", &snapshot)?,
+            adam: Adam::get(&snapshot)?,
+            history: snapshot.get_history()?,
+        })
+    }
 }
 
-pub(super) fn bytes_f64(values: &[f64]) -> Vec<u8> {
-    values.iter().flat_map(|v| v.to_le_bytes()).collect()
+impl Search {
+    /// As [`TrainingState::save`].
+    ///
+    /// # Errors
+    /// When the file cannot be written.
+    pub fn save(&self, dir: &Path, fingerprint: &str) -> Result<()> {
+        let mut snapshot = Snapshot::default();
+        let counts = [self.walk, self.rung, usize::from(self.is_thresholded), self.step, self.idle];
+        snapshot.doubles("counters", &counts.map(|n| n as f64));
+        snapshot.doubles("levels", &[self.lowest, self.before, self.damping]);
+        snapshot.history(&self.history);
+        self.at.put("at", &mut snapshot);
+        self.best.put("best", &mut snapshot);
+        snapshot.save(dir, fingerprint)
+    }
+
+    /// As [`TrainingState::load`].
+    pub fn load(dir: &Path, fingerprint: &str) -> Option<Self> {
+        let snapshot = Snapshot::load(dir, fingerprint)?;
+        let counters: Vec<usize> = snapshot.get_doubles("counters")?.into_iter().map(|n| n as usize).collect();
+        let [walk, rung, is_thresholded, step, idle] = *counters.as_array()?;
+        let [lowest, before, damping] = *snapshot.get_doubles("levels")?.as_array()?;
+        Some(Self {
+            walk,
+            rung,
+            is_thresholded: is_thresholded == 1,
+            step,
+            idle,
+            lowest,
+            before,
+            damping,
+            at: Candidate::get("at", &snapshot)?,
+            best: Candidate::get("best", &snapshot)?,
+            history: snapshot.get_history()?,
+        })
+    }
 }
 
-pub(super) fn bytes_mask(mask: &[bool]) -> Vec<u8> {
-    mask.iter().map(|k| u8::from(*k)).collect()
+impl Adam {
+    fn put(&self, snapshot: &mut Snapshot) {
+        snapshot.floats("adam.first", &self.first);
+        snapshot.floats("adam.second", &self.second);
+        snapshot.doubles("adam.step", &[f64::from(self.step)]);
+    }
+
+    fn get(snapshot: &Snapshot) -> Option<Self> {
+        Some(Self {
+            first: snapshot.get_floats("adam.first")?,
+            second: snapshot.get_floats("adam.second")?,
+            step: *snapshot.get_doubles("adam.step")?.first()? as u32,
+        })
+    }
 }
 
-pub(super) fn floats(bytes: &[u8]) -> Vec<f32> {
-    bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
-}
+impl Candidate {
+    fn put(&self, name: &str, snapshot: &mut Snapshot) {
+        snapshot.floats(&format!("{name}.xi"), &self.xi);
+        snapshot.mask(&format!("{name}.mask"), &self.mask);
+        snapshot.doubles(&format!("{name}.validation"), &[self.validation]);
+    }
 
-fn doubles(bytes: &[u8]) -> Vec<f64> {
-    bytes.as_chunks::<8>().0.iter().map(|b| f64::from_le_bytes(*b)).collect()
+    fn get(name: &str, snapshot: &Snapshot) -> Option<Self> {
+        Some(Self {
+            xi: snapshot.get_floats(&format!("{name}.xi"))?,
+            mask: snapshot.get_mask(&format!("{name}.mask"))?,
+            validation: *snapshot.get_doubles(&format!("{name}.validation"))?.first()?,
+        })
+    }
 }

@@ -4,6 +4,7 @@ use super::case::Case;
 use super::integrator::{Forcing, Trajectory, rollout as integrate};
 use super::kernels::{LANES, Lanes};
 use super::library::Library;
+use super::memory::Drive;
 use super::model::{SourceModel, SparseEncoder};
 use super::observation::Observation;
 use crate::error::{Error, Result};
@@ -12,28 +13,35 @@ use rayon::prelude::*;
 /// States beyond this count as diverged when predicting.
 pub const STATE_BOUND: f32 = 1e4;
 
-/// One sequence to roll out: initial state `[r]` and the base acceleration from there on.
+/// One sequence to roll out: initial state `[r]` and what drives it from there on.
 #[derive(Debug, Clone, Copy)]
 pub struct Start<'a> {
     /// Initial latent state.
     pub z0: &'a [f32],
-    /// Base acceleration from the initial sample on, `[n]`.
-    pub u: &'a [f32],
-    /// Base acceleration half-way between, `[n − 1]`.
-    pub u_half: &'a [f32],
+    /// Drive of the whole motion.
+    pub drive: &'a Drive,
+    /// The sample of the initial state.
+    pub from: usize,
+}
+
+impl Start<'_> {
+    /// Samples to roll out, the initial one included.
+    pub fn n_step(&self) -> usize {
+        self.drive.n_step() - self.from
+    }
 }
 
 /// Latent states `[n · r]` of each sequence, with the number of valid samples (fewer than n where it diverged).
-pub fn roll_out(library: Library, xi: &[f32], starts: &[Start<'_>], factor: f32, bound: f32) -> Vec<(Vec<f32>, usize)> {
+pub fn roll_out(library: Library, xi: &[f32], starts: &[Start<'_>], bound: f32) -> Vec<(Vec<f32>, usize)> {
     let r = library.latent;
     let groups: Vec<Vec<(Vec<f32>, usize)>> = starts
         .par_chunks(LANES)
         .map(|group| {
-            let (forcing, z0) = load_group(r, group, factor);
+            let (forcing, z0) = load_group(r, group);
             let mut to = Trajectory::default();
             integrate(library, xi, &z0, &forcing, bound, &mut to);
             let lane = |(lane, start): (usize, &Start<'_>)| {
-                (to.z[..start.u.len() * r].iter().map(|z| z.0[lane]).collect(), to.valid[lane])
+                (to.z[..start.n_step() * r].iter().map(|z| z.0[lane]).collect(), to.valid[lane])
             };
             group.iter().enumerate().map(lane).collect()
         })
@@ -41,14 +49,15 @@ pub fn roll_out(library: Library, xi: &[f32], starts: &[Start<'_>], factor: f32,
     groups.into_iter().flatten().collect()
 }
 
-/// Lays up to [`LANES`] sequences side by side, inputs and initial states multiplied by `factor`.
-pub fn load_group(r: usize, group: &[Start<'_>], factor: f32) -> (Forcing, Vec<Lanes>) {
+/// Lays up to [`LANES`] sequences side by side.
+pub fn load_group(r: usize, group: &[Start<'_>]) -> (Forcing, Vec<Lanes>) {
     let mut forcing = Forcing::default();
-    forcing.reset(group.iter().map(|s| s.u.len()).max().unwrap_or(0));
+    let width = group.first().map_or(1, |s| s.drive.width);
+    forcing.reset(group.iter().map(Start::n_step).max().unwrap_or(0), width);
     let mut z0 = vec![Lanes::ZERO; r];
     for (lane, start) in group.iter().enumerate() {
-        forcing.set(lane, start.u, start.u_half, factor);
-        z0.iter_mut().zip(start.z0).for_each(|(to, z)| to.0[lane] = z * factor);
+        forcing.set(lane, start.drive, start.from..start.drive.n_step(), 1.0);
+        z0.iter_mut().zip(start.z0).for_each(|(to, z)| to.0[lane] = *z);
     }
     (forcing, z0)
 }
@@ -62,7 +71,8 @@ impl SourceModel {
     pub fn roll_out(&self, case: &Case) -> Result<Vec<f32>> {
         let t0 = self.shape.window - 1;
         let z0 = self.encode(&case.dense[..self.shape.window * self.shape.channels]);
-        let start = Start { z0: &z0, u: &case.u[t0..], u_half: &case.u_half[t0..] };
+        let drive = self.shape.drive(&case.u, &case.u_half, 1.0);
+        let start = Start { z0: &z0, drive: &drive, from: t0 };
         let z = one(self, self.coefficients(), start).map_err(|e| e.at(format!("case `{}`", case.id)))?;
         Ok(self.decode(&z))
     }
@@ -110,7 +120,8 @@ pub fn predict(
     }
     let t0 = encoder.window - 1;
     let z0 = encoder.encode(window);
-    let z = one(model, xi, Start { z0: &z0, u: &u[t0..], u_half: &u_half[t0..] })?;
+    let drive = model.shape.drive(u, u_half, 1.0);
+    let z = one(model, xi, Start { z0: &z0, drive: &drive, from: t0 })?;
     Ok(observe(observation, &model.decode(&z)))
 }
 
@@ -123,8 +134,8 @@ pub fn observe(observation: &Observation, dense: &[f32]) -> Vec<f32> {
 }
 
 fn one(model: &SourceModel, xi: &[f32], start: Start<'_>) -> Result<Vec<f32>> {
-    let (z, valid) = roll_out(model.shape.library(), xi, &[start], 1.0, STATE_BOUND).remove(0);
-    if valid < start.u.len() {
+    let (z, valid) = roll_out(model.shape.library(), xi, &[start], STATE_BOUND).remove(0);
+    if valid < start.n_step() {
         let time_s = valid as f64 * model.shape.step_s;
         return Err(Error::new(format!(
             "the latent state leaves ±{STATE_BOUND} {time_s:.2} s after the initial window"

@@ -1,5 +1,6 @@
 //! The three training sections of a site manifest, with their defaults and range checks.
 
+use super::memory::Memories;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -23,6 +24,10 @@ pub struct PretrainSettings {
     pub encoder_hidden: Vec<usize>,
     /// Widths of the decoder's hidden layers.
     pub decoder_hidden: Vec<usize>,
+    /// Memories of the shaking that the latent equations may multiply their linear terms with; none as published.
+    pub memories: Memories,
+    /// Levels of latent energy that they may multiply the states with (0…3); none as published.
+    pub energy_levels: usize,
     /// Passes over the training sequences.
     pub epochs: usize,
     /// Sequences per step of the optimiser.
@@ -68,6 +73,8 @@ impl Default for PretrainSettings {
             final_segments: 2,
             encoder_hidden: vec![128, 128],
             decoder_hidden: vec![128, 128],
+            memories: Memories { fading_s: vec![1.0], lasting_s: vec![5.0] },
+            energy_levels: 2,
             epochs: 400,
             batch: 16,
             learning_rate: 1e-3,
@@ -101,6 +108,8 @@ impl PretrainSettings {
             final_rate_share: 1.0,
             amplitude_weighting: 0.0,
             linear_start: false,
+            memories: Memories::default(),
+            energy_levels: 0,
             mirror: false,
             jitter: false,
             ..self.clone()
@@ -118,6 +127,12 @@ impl PretrainSettings {
         list.count("final_segments", self.final_segments, 1, 1000);
         list.widths("encoder_hidden", &self.encoder_hidden);
         list.widths("decoder_hidden", &self.decoder_hidden);
+        list.count("energy_levels", self.energy_levels, 0, 3);
+        for (key, times) in
+            [("memories.fading_s", &self.memories.fading_s), ("memories.lasting_s", &self.memories.lasting_s)]
+        {
+            times.iter().for_each(|t| list.real(key, *t, "s", 0.01, 1e4));
+        }
         list.count("epochs", self.epochs, 1, 1_000_000);
         list.count("batch", self.batch, 1, 100_000);
         list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
@@ -223,33 +238,78 @@ impl DistillSettings {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct CalibrateSettings {
-    /// Passes over the training events.
+    /// How the coefficients are searched.
+    pub solver: Solver,
+    /// How the size of a correction is measured.
+    pub metric: Metric,
+    /// Adam: passes over the training events.
     pub epochs: usize,
-    /// Learning rate of the coefficients at the start (coefficients are per sample).
+    /// Adam: learning rate of the coefficients at the start (coefficients are per sample).
     pub learning_rate: f64,
-    /// Share of it left at the last epoch.
+    /// Adam: share of it left at the last epoch.
     pub final_rate_share: f64,
-    /// λ_Δ, weight of the relative size of the correction.
+    /// Adam: λ_Δ, weight of the relative size of the correction.
     pub penalty: f64,
+    /// Gauss–Newton: values of λ_Δ tried one after the other, falling; the validation events choose.
+    pub penalty_ladder: Vec<f64>,
+    /// Gauss–Newton: which terms may move, tried one after the other; the validation events choose.
+    pub free_terms: Vec<FreeTerms>,
+    /// Gauss–Newton: most steps for one value of λ_Δ, before and again after thresholding.
+    pub steps: usize,
     /// Calibrated coefficients below this (per sample) are removed for good at each thresholding.
     pub threshold: f64,
-    /// Epochs between thresholdings, each of which restarts the optimiser; 0 for none. The last quarter has none.
+    /// Adam: epochs between thresholdings, each of which restarts the optimiser; 0 for none. The last quarter has none.
     pub threshold_every: usize,
     /// Each event counts with its response amplitude to the power −2 × this: 0 as published, 1 all events alike.
     pub amplitude_weighting: f64,
-    /// Epochs between validations by complete rollout.
+    /// Adam: epochs between validations by complete rollout.
     pub validate_every: usize,
     /// Latent states beyond this count as diverged.
     pub state_bound: f64,
 }
 
+/// How stage 3 searches the coefficients.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Solver {
+    /// Gradient descent, as published.
+    Adam,
+    /// Gauss–Newton steps with forward sensitivities.
+    GaussNewton,
+}
+
+/// Which terms of the latent equations stage 3 may correct.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum FreeTerms {
+    /// All but the products of two states.
+    Linear,
+    /// All, as published.
+    All,
+}
+
+/// How stage 3 measures the size of a correction, one latent equation at a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum Metric {
+    /// By the coefficients themselves, as published.
+    Coefficients,
+    /// By the change of the equation where the simulations have been.
+    Field,
+}
+
 impl Default for CalibrateSettings {
     fn default() -> Self {
         Self {
+            solver: Solver::GaussNewton,
+            metric: Metric::Field,
             epochs: 600,
             learning_rate: 5e-4,
             final_rate_share: 0.02,
             penalty: 1.0,
+            penalty_ladder: vec![300.0, 100.0, 30.0, 10.0, 3.0, 1.0, 0.3, 0.1, 0.03, 0.01, 0.003, 0.001],
+            free_terms: vec![FreeTerms::Linear, FreeTerms::All],
+            steps: 6,
             threshold: 1e-3,
             threshold_every: 200,
             amplitude_weighting: 1.0,
@@ -267,6 +327,10 @@ impl CalibrateSettings {
         list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
         list.real("final_rate_share", self.final_rate_share, "", 0.0, 1.0);
         list.real("penalty", self.penalty, "", 0.0, 1e6);
+        list.count("penalty_ladder.length", self.penalty_ladder.len(), 1, 100);
+        self.penalty_ladder.iter().for_each(|weight| list.real("penalty_ladder", *weight, "", 0.0, 1e6));
+        list.count("free_terms.length", self.free_terms.len(), 1, 10);
+        list.count("steps", self.steps, 1, 1000);
         list.real("threshold", self.threshold, "1/sample", 0.0, 10.0);
         list.real("amplitude_weighting", self.amplitude_weighting, "", 0.0, 1.0);
         list.count("validate_every", self.validate_every, 1, 1_000_000);

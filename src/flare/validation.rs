@@ -7,6 +7,7 @@
 //! A candidate that diverges on any validation motion, or on one multiplied by the stress factor, scores infinity.
 
 use super::case::Case;
+use super::memory::Drive;
 use super::model::SourceModel;
 use super::rollout::{Start, roll_out};
 
@@ -30,17 +31,17 @@ pub fn judge(model: &SourceModel, cases: &[Case], weight: &[f32], stress_factor:
     let t0 = model.shape.window - 1;
     let (r, channels) = (model.shape.latent, model.shape.channels);
     let encoded: Vec<Vec<f32>> = cases.iter().map(|c| model.encode(&c.dense)).collect();
-    let starts: Vec<Start<'_>> = cases
-        .iter()
-        .zip(&encoded)
-        .map(|(c, z)| Start { z0: &z[..r], u: &c.u[t0..], u_half: &c.u_half[t0..] })
-        .collect();
-    let roll =
-        |factor: f64| roll_out(model.shape.library(), model.coefficients(), &starts, factor as f32, bound as f32);
+    let roll = |factor: f32| -> Vec<(Vec<f32>, usize)> {
+        let drives: Vec<Drive> = cases.iter().map(|c| model.shape.drive(&c.u, &c.u_half, factor)).collect();
+        let first: Vec<Vec<f32>> = encoded.iter().map(|z| z[..r].iter().map(|z| z * factor).collect()).collect();
+        let starts: Vec<Start<'_>> =
+            drives.iter().zip(&first).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
+        roll_out(model.shape.library(), model.coefficients(), &starts, bound as f32)
+    };
     let rolled = roll(1.0);
-    let stressed = if stress_factor > 1.0 { roll(stress_factor) } else { Vec::new() };
-    let ends = rolled.iter().zip(&starts).chain(stressed.iter().zip(&starts));
-    let is_bounded = ends.into_iter().all(|((_, valid), start)| *valid == start.u.len());
+    let stressed = if stress_factor > 1.0 { roll(stress_factor as f32) } else { Vec::new() };
+    let ends = rolled.iter().zip(cases).chain(stressed.iter().zip(cases));
+    let is_bounded = ends.into_iter().all(|((_, valid), case)| *valid == case.u.len() - t0);
 
     let (mut sums, mut medians) = ([0.0; 3], Vec::new());
     for (((case, z), (z_roll, _)), weight) in cases.iter().zip(&encoded).zip(&rolled).zip(weight) {

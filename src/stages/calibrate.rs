@@ -3,7 +3,7 @@
 use super::{dataset, records};
 use crate::dataset::{Coarse, Normalisation};
 use crate::error::{Error, Result};
-use crate::flare::{CalibrateSettings, Event, SourceModel, SparseEncoder, calibrate};
+use crate::flare::{CalibrateSettings, Data, Event, Metric, SourceModel, SparseEncoder, calibrate};
 use crate::manifest::SensorsSection;
 use crate::pipeline::{Stage, Task};
 use crate::records::{Record, Split};
@@ -42,7 +42,13 @@ impl Stage for Calibrate {
             found.select(component, split).map(|r| event(r, card.step_s, &card.normalisation)).collect()
         };
         let (train, validation) = (events(Split::Train), events(Split::Validation));
-        let calibration = calibrate(&model, &encoder, &observation, &train, &validation, &settings, task.progress())?;
+        let simulations = match settings.metric {
+            Metric::Field => dataset::cases(task.input("dataset")?, &card.train)?,
+            Metric::Coefficients => Vec::new(),
+        };
+        let data = Data { simulations: &simulations, train: &train, validation: &validation };
+        let checkpoint_dir = Some(task.checkpoint_dir()?);
+        let calibration = calibrate(&model, &encoder, &observation, &data, &settings, checkpoint_dir, task.progress())?;
         calibration.save(task.output_dir(), &model.shape)?;
         calibration.history.save(&task.output_dir().join("history.csv"))
     }

@@ -47,7 +47,8 @@ impl Stage for Distill {
         let train = dataset::cases(folder, &card.train)?;
         let validation = dataset::cases(folder, &card.validation)?;
         let seed: u64 = task.section("motions.seed")?;
-        let (encoder, history) = distill(&model, &train, &validation, &settings, seed, task.progress())?;
+        let (encoder, history) =
+            distill(&model, &train, &validation, &settings, seed, Some(task.checkpoint_dir()?), task.progress())?;
         let observation = card.observation();
         encoder.save(task.output_dir(), &observation)?;
         history.save(&task.output_dir().join("history.csv"))?;
