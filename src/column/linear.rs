@@ -16,6 +16,8 @@ pub struct Slice<'a> {
     pub vertical_pa: f64,
     /// Bulk stiffness of the pore water, Pa; 0 above the water table.
     pub pore_pa: f64,
+    /// Shear stiffness of a container in parallel, Pa.
+    pub container_pa: f64,
     /// Stiffness-proportional damping, s.
     pub beta_s: f64,
     /// Its law.
@@ -32,19 +34,20 @@ impl Column {
                 shear_modulus_pa: e.elastic_pa[0],
                 vertical_pa: e.vertical_pa,
                 pore_pa: e.pore_pa,
+                container_pa: e.container_pa,
                 beta_s: e.beta_s,
                 law: stretch.law.as_ref(),
             })
         })
     }
 
-    /// Mass of the nodes above the base, horizontally, kg/m², surface down.
+    /// Horizontal mass of the nodes above the base, kg/m², surface down; a container's is in it, a structure's is not.
     pub fn node_mass_kg_m2(&self) -> Vec<f64> {
-        self.mesh.mass.iter().take(self.mesh.elements.len()).map(|m| m[0]).collect()
+        self.mesh.mass[..self.mesh.elements.len()].iter().map(|m| m[0]).collect()
     }
 
-    /// Mass-proportional damping of the same nodes on the velocity relative to the base, kg/(m² s).
+    /// Mass-proportional damping of the same nodes on the velocity relative to the input motion, kg/(m² s).
     pub fn node_damping_kg_m2_s(&self) -> Vec<f64> {
-        self.mesh.dashpot.iter().take(self.mesh.elements.len()).map(|d| d[0]).collect()
+        self.mesh.dashpot[..self.mesh.elements.len()].iter().map(|c| c[0]).collect()
     }
 }

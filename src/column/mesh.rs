@@ -66,8 +66,8 @@ impl Mesh {
             is_compliant,
             frequency_hz,
         };
-        for (elements, law, around) in stretches {
-            mesh.push(profile, &cuts[elements], law, &around)?;
+        for dressed in stretches {
+            mesh.push(profile, &cuts[dressed.elements.clone()], dressed)?;
         }
         if let (true, Some(base), Some(layer)) = (is_compliant, mesh.dashpot.last_mut(), profile.layers.last()) {
             base[0] += layer.density_kg_m3 * layer.vs_m_s / profile.features.base_impedance_ratio;
@@ -76,13 +76,15 @@ impl Mesh {
     }
 
     /// Adds the elements of one law, with their masses and dampers.
-    fn push(&mut self, profile: &Profile, cuts: &[Cut], law: Box<dyn Law>, around: &Around) -> Result<()> {
+    fn push(&mut self, profile: &Profile, cuts: &[Cut], dressed: Dressed) -> Result<()> {
+        let Dressed { law, around, .. } = dressed;
         let points: Vec<Point> = cuts.iter().map(|cut| cut.point).collect();
         let mut start = vec![0.0; law.n_state() * points.len()];
         let mut elastic_pa = vec![[0.0; 4]; points.len()];
-        law.start_all(&points, &mut start, &mut elastic_pa).map_err(|(i, error)| error.at(place(cuts[i].layer)))?;
+        law.start_all(&points, &mut start, &mut elastic_pa).map_err(|(i, error)| (*error).at(place(cuts[i].layer)))?;
         let first = self.elements.len();
         let container = profile.features.container;
+        let declared_s = profile.rayleigh.beta_s + law.viscosity_s();
         // Rayleigh damping that gives the law's ratio at f and 5 f of the column.
         let (w1, w2) = (TAU * self.frequency_hz, 5.0 * TAU * self.frequency_hz);
         for (i, (cut, elastic_pa)) in (first..).zip(cuts.iter().zip(elastic_pa)) {
@@ -104,7 +106,7 @@ impl Mesh {
                 elastic_pa,
                 pore_pa: if point.depth_m > profile.water_table_m { law.pore_stiffness_pa() } else { 0.0 },
                 container_pa: container.stiffness_pa,
-                beta_s: if around.slips() { 0.0 } else { profile.rayleigh.beta_s + 2.0 * ratio / (w1 + w2) },
+                beta_s: if around.slips() { 0.0 } else { declared_s + 2.0 * ratio / (w1 + w2) },
             });
         }
         self.stretches.push(Stretch { elements: first..self.elements.len(), law, start });
@@ -117,6 +119,13 @@ struct Cut {
     layer: usize,
     height_m: f64,
     point: Point,
+}
+
+/// Neighbouring elements of one law, and what is around it.
+struct Dressed {
+    elements: Range<usize>,
+    law: Box<dyn Law>,
+    around: Around,
 }
 
 /// The layers cut into elements under their own weight, the structure's, and buoyancy.
@@ -147,26 +156,26 @@ fn cuts(profile: &Profile) -> Vec<Cut> {
 }
 
 /// Runs of neighbouring elements with the same law and the same things around it.
-fn stretches(profile: &Profile, cuts: &[Cut]) -> Result<Vec<(Range<usize>, Box<dyn Law>, Around)>> {
-    let around = |cut: &Cut| {
+fn stretches(profile: &Profile, cuts: &[Cut]) -> Result<Vec<Dressed>> {
+    let around_of = |cut: &Cut| {
         let half_m = 0.5 * cut.height_m;
         let kind = &profile.layers[cut.layer].law_kind;
         profile.features.around(kind, cut.point.depth_m - half_m, cut.point.depth_m + half_m)
     };
-    let mut found: Vec<(Range<usize>, Box<dyn Law>, Around)> = Vec::new();
+    let mut found: Vec<Dressed> = Vec::new();
     for (i, cut) in cuts.iter().enumerate() {
-        let (layer, dress) = (&profile.layers[cut.layer], around(cut));
+        let (layer, around) = (&profile.layers[cut.layer], around_of(cut));
         if let (Some(last), Some(before)) = (found.last_mut(), i.checked_sub(1)) {
             let above = &profile.layers[cuts[before].layer];
-            if above.law_kind == layer.law_kind && above.law == layer.law && last.2 == dress {
-                last.0.end = i + 1;
+            if above.law_kind == layer.law_kind && above.law == layer.law && last.around == around {
+                last.elements.end = i + 1;
                 continue;
             }
         }
         let law = registry::find("soil law", LAWS, &layer.law_kind)
             .and_then(|entry| (entry.build)(layer.law.clone()))
             .map_err(|error: Error| error.at(place(cut.layer)))?;
-        found.push((i..i + 1, dress.dress(law), dress));
+        found.push(Dressed { elements: i..i + 1, law: around.dress(law), around });
     }
     Ok(found)
 }

@@ -53,13 +53,16 @@ const PARAMETERS: &[Parameter] = &[
 /// Adds Rayleigh damping to the column.
 ///
 /// ```text
-/// ξ(f) = α / (4 π f) + β π f                                            (1)
+/// ξ(f) = α / (4 π f) + β π f + b f / f_r,   f_r = 5 Hz                  (1)
 /// ```
 ///
 /// | symbol | field       | unit | range  |
 /// |--------|-------------|------|--------|
 /// | α      | `alpha_1_s` | 1/s  | 0…20   |
 /// | β      | `beta_s`    | s    | 0…0.05 |
+/// | b      | `slope`     | –    | 0…0.5  |
+///
+/// b is β by another name: the damping ratio it adds at f_r.
 ///
 /// Limits: the same for every layer.
 /// Check:  the column's transfer function with Rayleigh damping against the exact one.
@@ -71,11 +74,20 @@ struct FrequencyDependentDamping {
     alpha_1_s: f64,
     #[serde(default)]
     beta_s: f64,
+    #[serde(default)]
+    slope: f64,
 }
+
+/// f_r of (1), Hz.
+const REFERENCE_HZ: f64 = 5.0;
 
 impl FrequencyDependentDamping {
     fn checked(self) -> Result<Self> {
-        super::ranges(&[("alpha_1_s", self.alpha_1_s, 0.0, 20.0, "1/s"), ("beta_s", self.beta_s, 0.0, 0.05, "s")])?;
+        super::ranges(&[
+            ("alpha_1_s", self.alpha_1_s, 0.0, 20.0, "1/s"),
+            ("beta_s", self.beta_s, 0.0, 0.05, "s"),
+            ("slope", self.slope, 0.0, 0.5, ""),
+        ])?;
         Ok(self)
     }
 }
@@ -83,6 +95,31 @@ impl FrequencyDependentDamping {
 impl Effect for FrequencyDependentDamping {
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         profile.rayleigh.alpha_1_s += self.alpha_1_s;
-        profile.rayleigh.beta_s += self.beta_s;
+        profile.rayleigh.beta_s += self.beta_s + self.slope / (std::f64::consts::PI * REFERENCE_HZ); // (1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slope_is_the_damping_ratio_added_at_five_hertz() {
+        let edited = |table: &str| {
+            let effect = (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
+            let mut profile = Profile {
+                layers: Vec::new(),
+                water_table_m: 0.0,
+                vertical: Default::default(),
+                rayleigh: Default::default(),
+                elements: 1,
+                features: Default::default(),
+            };
+            effect.edit(&mut profile, &Situation::default());
+            profile.rayleigh
+        };
+        let beta_s = edited("slope = 0.03").beta_s;
+        assert!((std::f64::consts::PI * 5.0 * beta_s - 0.03).abs() < 1e-15);
+        assert_eq!(edited("slope = 0.0"), Default::default());
     }
 }

@@ -128,10 +128,10 @@ pub trait Law: Send + Sync {
         points: &[Point],
         state: &mut [f64],
         elastic_pa: &mut [[f64; 4]],
-    ) -> Result<(), (usize, Error)> {
+    ) -> Result<(), (usize, Box<Error>)> {
         let memory = state.chunks_exact_mut(self.n_state());
         for (i, ((point, elastic), state)) in points.iter().zip(elastic_pa).zip(memory).enumerate() {
-            *elastic = self.start(point, state).map_err(|error| (i, error))?;
+            *elastic = self.start(point, state).map_err(|error| (i, Box::new(error)))?;
         }
         Ok(())
     }
@@ -167,6 +167,11 @@ pub trait Law: Send + Sync {
 
     /// Small-strain damping ratio that the law asks for beside its hysteresis.
     fn damping_ratio(&self, point: &Point) -> f64;
+
+    /// Viscosity over elastic stiffness, s: stiffness-proportional damping without which the law is not well posed.
+    fn viscosity_s(&self) -> f64 {
+        0.0
+    }
 }
 
 /// Collects range problems as (key, sentence).

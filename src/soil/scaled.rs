@@ -96,7 +96,7 @@ impl Law for Scaled {
         points: &[Point],
         state: &mut [f64],
         elastic_pa: &mut [[f64; 4]],
-    ) -> Result<(), (usize, Error)> {
+    ) -> Result<(), (usize, Box<Error>)> {
         let (inner, own) = state.split_at_mut(points.len() * self.law.n_state());
         for (point, own) in points.iter().zip(own.chunks_exact_mut(self.n_own)) {
             self.start_own(point, own);
@@ -160,5 +160,9 @@ impl Law for Scaled {
 
     fn damping_ratio(&self, point: &Point) -> f64 {
         self.law.damping_ratio(point)
+    }
+
+    fn viscosity_s(&self) -> f64 {
+        self.law.viscosity_s()
     }
 }

@@ -10,8 +10,8 @@ use super::{Increment, Point, Scaling};
 /// modulus       G → G (1 − r_u)^½: a factor on the shear stress of the law               (3)
 /// ```
 ///
-/// E_ref is ten cycles of a tenth of the vertical effective stress, about what 0.1 g at the base does to a few metres of
-/// saturated sand; since E grows with the square of the motion, r_u grows with its n-th power.
+/// E_ref is ten cycles of a tenth of the vertical effective stress: motions of 0.1 g at the base of the Lotung column give
+/// 0.07…1 by motion, depth and law; since E grows with the square of the motion, r_u grows with its n-th power.
 ///
 /// | symbol | field             | unit | range |
 /// |--------|-------------------|------|-------|

@@ -25,7 +25,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -28,7 +28,7 @@ impl Stage for Replay {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
