@@ -1,6 +1,7 @@
 //! The errors-in-variables cost: residuals whitened by the noise of outputs and input as the model passes it on.
 
 use super::anchor::Anchor;
+use super::generic::Pair;
 use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
 use crate::effects::Effect;
@@ -30,16 +31,49 @@ pub fn whitened(
     anchor: &Anchor,
     groups: &[usize],
 ) -> Vec<f64> {
-    let parts: Vec<Vec<f64>> = groups.par_iter().map(|g| group(scene, effects, responses, anchor, *g)).collect();
+    let of_group = |g: &usize| {
+        let mut out = Vec::with_capacity(scene.groups[*g].n_residual());
+        walk(scene, effects, responses, anchor, *g, &mut |bin| bin.whiten(&mut out));
+        out
+    };
+    let parts: Vec<Vec<f64>> = groups.par_iter().map(of_group).collect();
     parts.concat()
 }
 
-fn group(scene: &Scene<'_>, effects: &[Box<dyn Effect>], responses: &Responses, anchor: &Anchor, g: usize) -> Vec<f64> {
+/// What is predicted and what was recorded in group `g`, `[record][sensor]`; interference is out of both.
+pub fn pairs(
+    scene: &Scene<'_>,
+    effects: &[Box<dyn Effect>],
+    responses: &Responses,
+    anchor: &Anchor,
+    g: usize,
+) -> Vec<Vec<Pair>> {
+    let group = &scene.groups[g];
+    let n_sensor = scene.problem.array.outputs.len();
+    let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
+    let mut rows = vec![empty; group.records.len() * n_sensor];
+    walk(scene, effects, responses, anchor, g, &mut |bin| {
+        for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
+            row.predicted.push(*predicted);
+            row.measured.push(*measured);
+        }
+    });
+    rows.chunks_exact(n_sensor.max(1)).map(<[Pair]>::to_vec).collect()
+}
+
+/// Shows every bin of group `g` in turn.
+fn walk(
+    scene: &Scene<'_>,
+    effects: &[Box<dyn Effect>],
+    responses: &Responses,
+    anchor: &Anchor,
+    g: usize,
+    show: &mut dyn FnMut(&mut Bin),
+) {
     let group = &scene.groups[g];
     let n_sensor = scene.problem.array.outputs.len();
     let n_record = group.records.len();
     let removed = scene.estimated_interference(effects, g);
-    let mut out = Vec::with_capacity(group.n_residual());
     let mut bin = Bin::new(n_record, n_record * n_sensor);
     let all = Operators::new(scene, effects);
     let inputs: Vec<Vec<C64>> = (0..n_record).map(|r| scene.true_input(effects, &all, g, r)).collect();
@@ -53,7 +87,7 @@ fn group(scene: &Scene<'_>, effects: &[Box<dyn Effect>], responses: &Responses, 
             for r in 0..n_record {
                 let row = r * n_sensor + s;
                 bin.model[row].fill(C64::default());
-                bin.residual[row] = C64::default();
+                bin.predicted[row] = C64::default();
                 for q in 0..n_record {
                     let weight = entry(operator, components[r], components[q]);
                     if weight == C64::default() {
@@ -71,31 +105,33 @@ fn group(scene: &Scene<'_>, effects: &[Box<dyn Effect>], responses: &Responses, 
                     }
                     predicted += arrival * inputs[q][k];
                     motion += arrival;
-                    bin.residual[row] -= weight * predicted;
+                    bin.predicted[row] += weight * predicted;
                     for p in 0..n_record {
                         bin.model[row][p] += weight * motion * entry(&undone, components[q], components[p]);
                     }
                 }
                 let record = &group.records[r];
                 let source = sources[s + 1];
-                bin.residual[row] += record.channels[source][k];
+                bin.measured[row] = record.channels[source][k];
                 if let Some(added) = &removed[r][source] {
-                    bin.residual[row] -= added[k];
+                    bin.measured[row] -= added[k];
                 }
+                bin.residual[row] = bin.measured[row] - bin.predicted[row];
                 bin.noise[row] = record.noise[source][k];
             }
         }
         for (p, record) in group.records.iter().enumerate() {
             bin.input_noise[p] = record.noise[sources[0]][k];
         }
-        bin.whiten(&mut out);
+        show(&mut bin);
     }
-    out
 }
 
 /// One frequency of one event.
 struct Bin {
     model: Vec<Vec<C64>>,
+    predicted: Vec<C64>,
+    measured: Vec<C64>,
     residual: Vec<C64>,
     noise: Vec<f64>,
     input_noise: Vec<f64>,
@@ -105,6 +141,8 @@ impl Bin {
     fn new(n_input: usize, n_row: usize) -> Self {
         Self {
             model: vec![vec![C64::default(); n_input]; n_row],
+            predicted: vec![C64::default(); n_row],
+            measured: vec![C64::default(); n_row],
             residual: vec![C64::default(); n_row],
             noise: vec![1.0; n_row],
             input_noise: vec![0.0; n_input],

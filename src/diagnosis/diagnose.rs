@@ -14,6 +14,8 @@ use crate::progress::Progress;
 
 /// Most steps of the recalibration, and after a new anchor.
 const STEPS: [usize; 2] = [12, 6];
+/// Most replays of a recalibration.
+const MAX_ANCHORS: usize = 3;
 
 /// Names what the declared model lacks.
 ///
@@ -26,9 +28,14 @@ pub fn diagnose(
     thresholds: &Thresholds,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
-    let scene = Scene::new(problem, settings)?;
+    let mut scene = Scene::new(problem, settings)?;
+    let declared = {
+        let search = Search::new(&scene, settings, Some(replay))?;
+        search.anchored(&[], &vec![0.0; search.nuisances.len()])?
+    };
+    scene.distrust(&declared);
     let search = Search::new(&scene, settings, Some(replay))?;
-    let path = search.walk(thresholds, progress)?;
+    let path = search.walk(declared, thresholds, progress)?;
     verdict::assemble(&search, &path, thresholds)
 }
 
@@ -55,13 +62,17 @@ impl Search<'_> {
     ///
     /// # Errors
     /// When a replay is impossible.
-    pub(super) fn walk(&self, thresholds: &Thresholds, progress: &dyn Progress) -> Result<Path> {
+    pub(super) fn walk(
+        &self,
+        declared_anchor: Anchor,
+        thresholds: &Thresholds,
+        progress: &dyn Progress,
+    ) -> Result<Path> {
         progress.start("diagnosis", 3 + self.settings.max_effects as u64);
         let zero = vec![0.0; self.nuisances.len()];
-        let declared_anchor = self.anchored(&[], &zero)?;
         let declared = self.settle(&[], &zero, &declared_anchor, None, 0)?;
         progress.advance(1);
-        let (recalibrated, anchor) = self.recalibrated(&declared, &declared_anchor)?;
+        let (recalibrated, anchor) = self.recalibrated(&declared, &declared_anchor, progress)?;
         progress.advance(1);
         let mut path = Path {
             declared,
@@ -77,7 +88,7 @@ impl Search<'_> {
             let at = if number == 1 { &declared_anchor } else { &path.anchor };
             let ground =
                 Ground { declared: Some((&from_declared, at)), base: path.corrected.clone(), anchor: &path.anchor };
-            let round = self.round(ground)?;
+            let round = self.round(ground, progress)?;
             if number == 1 {
                 path.recalibrated = round.base.clone();
                 path.first = round.fitted.clone();
@@ -110,15 +121,31 @@ impl Search<'_> {
         Ok(path)
     }
 
-    /// Recalibrates, replays there, and recalibrates again.
-    fn recalibrated(&self, declared: &Model, anchor: &Anchor) -> Result<(Model, Anchor)> {
-        let first = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
-        if self.replay.is_none() {
-            return Ok((first, Anchor::fast(self.scene)));
+    /// Recalibrates, replays there, and recalibrates again, as long as that helps.
+    fn recalibrated(&self, declared: &Model, anchor: &Anchor, progress: &dyn Progress) -> Result<(Model, Anchor)> {
+        let mut model = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
+        let mut best: Option<(Model, Anchor)> = None;
+        for _ in 0..MAX_ANCHORS {
+            let anchor = self.anchored(&[], model.x())?;
+            let seen = self.settle(&[], model.x(), &anchor, Some(&model), 0)?;
+            progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", model.cost(), seen.cost()));
+            let is_done = best.as_ref().is_some_and(|(b, _)| seen.cost() > 0.98 * b.cost());
+            if best.as_ref().is_none_or(|(b, _)| seen.cost() < b.cost()) {
+                best = Some((seen.clone(), anchor));
+            }
+            if is_done || self.replay.is_none() {
+                break;
+            }
+            let Some((seen, anchor)) = &best else { break };
+            model = self.settle(&[], seen.x(), anchor, Some(seen), STEPS[1])?;
         }
-        let anchor = self.anchored(&[], first.x())?;
-        let second = self.settle(&[], first.x(), &anchor, Some(&first), STEPS[1])?;
-        Ok((second, anchor))
+        // The last anchor reached serves, and the fit about it.
+        let (seen, anchor) = match best {
+            Some(best) => best,
+            None => (model, Anchor::fast(self.scene)),
+        };
+        let fitted = self.settle(&[], seen.x(), &anchor, Some(&seen), STEPS[1])?;
+        Ok((fitted, anchor))
     }
 
     /// Takes out effects that later ones have made needless.

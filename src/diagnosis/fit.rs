@@ -9,8 +9,8 @@ use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rayon::prelude::*;
 
-/// Strain iterations of a new point, of a step of the fit, and of a finite difference.
-pub(super) const ITERATIONS: [usize; 3] = [8, 4, 2];
+/// Most strain iterations of a new point, of a step of the fit, and of a finite difference.
+pub(super) const ITERATIONS: [usize; 3] = [30, 15, 2];
 
 /// A point in the space of unknowns and all that was computed there.
 #[derive(Clone)]
@@ -56,6 +56,7 @@ impl Fitter<'_> {
     /// ∂ρ/∂x at `point` for the unknowns in `which`, column by column.
     pub fn jacobian(&self, unknowns: &Unknowns<'_>, point: &Point, which: &[usize]) -> Mat<f64> {
         let steps = unknowns.steps();
+        let drifted = self.drifted(unknowns, point);
         let columns: Vec<Vec<f64>> = which
             .par_iter()
             .map(|&i| {
@@ -69,13 +70,20 @@ impl Fitter<'_> {
                     }
                     let Ok(moved) = self.at(unknowns, &x, Some(&point.responses), ITERATIONS[2]) else { continue };
                     if moved.cost.is_finite() {
-                        return moved.residual.iter().zip(&point.residual).map(|(a, b)| (a - b) / step).collect();
+                        return difference(&moved, point, &drifted, step);
                     }
                 }
                 vec![0.0; point.residual.len()]
             })
             .collect();
         Mat::from_fn(point.residual.len(), which.len(), |i, j| columns[j][i])
+    }
+
+    /// Residuals of `point` after the strain iterations of a finite difference: its strains may not have quite converged, and
+    /// what they still move must not be taken for a derivative.
+    pub fn drifted(&self, unknowns: &Unknowns<'_>, point: &Point) -> Vec<f64> {
+        let again = self.at(unknowns, &point.x, Some(&point.responses.strains_only()), ITERATIONS[2]);
+        again.map_or_else(|_| point.residual.clone(), |p| p.residual)
     }
 
     /// Minimises the cost from `start`, at most `steps` accepted steps.
@@ -90,7 +98,7 @@ impl Fitter<'_> {
             let jacobian = self.jacobian(unknowns, &point, &all);
             let (normal, gradient) = normal_equations(unknowns, &jacobian, &point);
             let mut best: Option<Point> = None;
-            for _ in 0..4 {
+            for _ in 0..6 {
                 let Some(step) = damped_step(&normal, &gradient, lambda) else { break };
                 let mut x: Vec<f64> = point.x.iter().zip(&step).map(|(x, d)| x + d).collect();
                 unknowns.clip(&mut x);
@@ -129,6 +137,12 @@ impl Fitter<'_> {
             Err(_) => vec![f64::INFINITY; normal.nrows()],
         }
     }
+}
+
+/// Derivative of the residuals from `point` (or its `drifted` residuals, where the columns changed) to `moved`.
+pub(super) fn difference(moved: &Point, point: &Point, drifted: &[f64], step: f64) -> Vec<f64> {
+    let from = if moved.responses.shares_columns(&point.responses) { &point.residual } else { drifted };
+    moved.residual.iter().zip(from).map(|(a, b)| (a - b) / step).collect()
 }
 
 /// JᵀJ + P and −(Jᵀρ + P x), P the prior precision of the nuisances.

@@ -9,11 +9,14 @@
 
 mod anchor;
 mod coherence;
+mod comparison;
 mod cost;
 mod curves;
 mod diagnose;
+mod evidence;
 mod fast_column;
 mod fit;
+mod floor;
 mod generic;
 mod hygiene;
 mod independence;
@@ -36,9 +39,12 @@ mod unknowns;
 mod verdict;
 
 pub use coherence::{Coherent, Trace, coherent};
+pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use curves::{Curve, Curves};
 pub use diagnose::diagnose;
+pub use evidence::Evidence;
 pub use fast_column::{FastColumn, Grid, March, element_count};
+pub use floor::noise_deviation_m_s2;
 pub use generic::{GenericCorrection, Pair, fit as fit_generic};
 pub use hygiene::{Shot, Suspicion, hygiene};
 pub use independence::{Independence, independence};

@@ -5,6 +5,7 @@ use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
 use crate::effects::Instance;
 use crate::error::Result;
+use crate::progress::Progress;
 use rayon::prelude::*;
 
 /// Steps of a joint fit, of a fit after a new anchor, and of a restart of the base.
@@ -54,7 +55,7 @@ impl Search<'_> {
     ///
     /// # Errors
     /// When a replay is impossible.
-    pub fn round(&self, ground: Ground<'_>) -> Result<Round> {
+    pub fn round(&self, ground: Ground<'_>, progress: &dyn Progress) -> Result<Round> {
         let Ground { declared, mut base, anchor } = ground;
         let unknowns = self.unknowns(&base.effects);
         let open: Vec<Instance> = self.instances.iter().filter(|i| !is_taken(i, &base.effects)).cloned().collect();
@@ -82,7 +83,7 @@ impl Search<'_> {
             .collect();
         self.restart(&mut base, &fitted, anchor)?;
         self.judge(&mut fitted, &base);
-        let anchor = self.confirm(&mut fitted, &base)?;
+        let anchor = self.confirm(&mut fitted, &base, progress)?;
         Ok(Round { base, fitted, anchor })
     }
 
@@ -162,7 +163,7 @@ impl Search<'_> {
 
     /// Replays the best, and then whatever is close behind or has become the best, and fits again from there; the anchor
     /// of the best.
-    fn confirm(&self, fitted: &mut Vec<Fitted>, base: &Model) -> Result<Option<Anchor>> {
+    fn confirm(&self, fitted: &mut Vec<Fitted>, base: &Model, progress: &dyn Progress) -> Result<Option<Anchor>> {
         let mut anchors: Vec<(Instance, Anchor)> = Vec::new();
         if self.replay.is_none() {
             return Ok(None);
@@ -171,8 +172,15 @@ impl Search<'_> {
             let Some(index) = self.next_to_confirm(fitted, anchors.len()) else { break };
             let f = &mut fitted[index];
             let anchor = self.anchored(&f.model.effects, f.model.x())?;
+            let expected = f.model.cost();
             f.model = self.settle(&f.model.effects, f.model.x(), &anchor, Some(&f.model), STEPS[1])?;
             f.is_confirmed = true;
+            progress.note(&format!(
+                "{} {}: cost {expected:.0} expected, {:.0} after a replay",
+                f.instance.kind,
+                f.instance.place(),
+                f.model.cost()
+            ));
             anchors.push((f.instance.clone(), anchor));
             self.judge(fitted, base);
         }

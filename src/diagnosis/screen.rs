@@ -1,6 +1,6 @@
 //! Screening: what each effect would gain with the nuisances free to follow, linearly.
 
-use super::fit::{Fitter, ITERATIONS, Point, gram, project};
+use super::fit::{Fitter, ITERATIONS, Point, difference, gram, project};
 use super::unknowns::Unknowns;
 use crate::effects::Instance;
 use faer::linalg::solvers::{Llt, Solve};
@@ -120,12 +120,13 @@ pub fn screen(
     pass: Pass,
 ) -> (Marginal, Vec<Screened>) {
     let marginal = Marginal::new(fitter, unknowns, point);
+    let drifted = fitter.drifted(unknowns, point);
     let reference = marginal.cost(&point.residual);
     let found = instances
         .par_iter()
         .enumerate()
         .filter_map(|(index, instance)| {
-            let trial = Trial { fitter, unknowns, point, marginal: &marginal, instance };
+            let trial = Trial { fitter, unknowns, point, marginal: &marginal, drifted: &drifted, instance };
             let (start, cost) = trial.best(pass)?;
             Some(Screened { instance: index, start, fall: reference - cost })
         })
@@ -139,6 +140,7 @@ struct Trial<'a> {
     unknowns: &'a Unknowns<'a>,
     point: &'a Point,
     marginal: &'a Marginal,
+    drifted: &'a [f64],
     instance: &'a Instance,
 }
 
@@ -176,7 +178,7 @@ impl Trial<'_> {
 
     /// The Gauss–Newton step of the strength; what only shapes the effect stays.
     fn scored(&self, start: &[f64], bounds: &[[f64; 2]]) -> Option<Vec<f64>> {
-        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start)?;
+        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start, self.drifted)?;
         let (delta, _) = self.marginal.score(&self.point.residual, &column)?;
         let mut x = start.to_vec();
         // A step to or across zero would say nothing about the effect.
@@ -208,14 +210,16 @@ pub(super) fn derivative(
     point: &Point,
     instance: &Instance,
     start: &[f64],
+    drifted: &[f64],
 ) -> Option<Mat<f64>> {
     let free = instance.free.first()?;
     let step = 0.1 * free.parameter.prior_sd;
     let step = if start[0] + step > free.parameter.bounds()[1] { -step } else { step };
     let mut moved = start.to_vec();
     moved[0] += step;
-    let residual = with_effect(fitter, unknowns, point, instance, &moved)?.residual;
-    Some(Mat::from_fn(residual.len(), 1, |i, _| (residual[i] - point.residual[i]) / step))
+    let found = with_effect(fitter, unknowns, point, instance, &moved)?;
+    let column = difference(&found, point, drifted, step);
+    Some(Mat::from_fn(column.len(), 1, |i, _| column[i]))
 }
 
 #[cfg(test)]

@@ -6,6 +6,10 @@
 
 use serde::{Deserialize, Serialize};
 
+pub use super::closing_content::{
+    Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder,
+};
+
 /// The whole report of one site.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -24,6 +28,8 @@ pub struct Content {
     pub distill: Option<Distill>,
     /// Stage 3, calibration on records, one per component.
     pub calibrate: Vec<Calibration>,
+    /// What the model lacked and what correcting it was worth.
+    pub closing: Option<Closing>,
     /// Predictions of the held-out events, one per event and component, in the order shown.
     pub held_out: Vec<Prediction>,
     /// Errors on the held-out events, one per event, component and sensor, in the order shown.

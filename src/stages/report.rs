@@ -3,7 +3,7 @@
 use super::artifact::{read_json, read_table, write_json};
 use super::evaluate::{self, Both, Evaluation};
 use super::motions::MotionSummary;
-use super::{dataset, distill, motions, pretrain};
+use super::{dataset, distill, motions, pretrain, report_closing};
 use crate::error::{Context, Result};
 use crate::flare::{Calibration, SourceModel, SparseEncoder, reconstruct};
 use crate::metrics::{DAMPING, Quartiles, log_periods_s, median, psa, timewise_error_percent};
@@ -139,6 +139,7 @@ fn content(task: &Task<'_>, evaluation: &Evaluation, axis: evaluate::Axis) -> Re
         pretrain: Some(pretrain_content(task)?),
         distill: Some(distill_content(task)?),
         calibrate: calibrate_content(task)?,
+        closing: report_closing::content(task)?,
         held_out: held_out(task, evaluation, axis)?,
         scores: scores(evaluation),
         timings: Vec::new(),
@@ -342,7 +343,12 @@ fn provenance(task: &Task<'_>) -> Result<Provenance> {
         records.remove("truth");
     }
     let mut stages = Vec::new();
-    for role in ["motions", "simulate", "dataset", "pretrain", "distill", "calibrate", "evaluate"] {
+    for role in
+        ["motions", "simulate", "dataset", "pretrain", "distill", "calibrate", "evaluate", "diagnose", "compare"]
+    {
+        if !task.has_input(role) {
+            continue;
+        }
         for (instance, folder) in task.inputs(role)? {
             let name = |p: Option<&std::ffi::OsStr>| p.and_then(|n| n.to_str()).unwrap_or_default().to_string();
             let kind = name(folder.parent().and_then(Path::file_name));

@@ -11,6 +11,17 @@ fn thresholds() -> Thresholds {
     Thresholds { gain: 5.0, validation_gain: 5.0, excess: 4.0, deviations: 3.0, twins: 0, null_gains: Vec::new() }
 }
 
+/// Prints the remarks.
+struct Loud;
+
+impl flare_pipe::progress::Progress for Loud {
+    fn start(&self, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn note(&self, text: &str) {
+        println!("      . {text}");
+    }
+}
+
 fn line(found: &Diagnosis) -> String {
     let named: Vec<String> = found
         .effects
@@ -60,7 +71,7 @@ fn twin(kind: &str, seed: u64, is_fast: bool) -> (String, Diagnosis, f64) {
     let mut all = drawn(&nuisances(&empty).unwrap(), seed);
     all.extend(tables);
     let problem = problem(&array, &all, truth);
-    let found = diagnose(&problem, &Replays(&problem), &settings(), &thresholds(), &Quiet).unwrap();
+    let found = diagnose(&problem, &Replays(&problem), &settings(), &thresholds(), &Loud).unwrap();
     (what, found, start.elapsed().as_secs_f64())
 }
 
