@@ -16,6 +16,7 @@ mod fast_column;
 mod fit;
 mod floor;
 mod interference;
+mod line;
 mod noise;
 mod null_twins;
 mod operators;
