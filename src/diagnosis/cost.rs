@@ -28,12 +28,12 @@ pub fn whitened(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    anchor: &Anchor,
+    (anchor, amount): (&Anchor, f64),
     groups: &[usize],
 ) -> Vec<f64> {
     let whiten = |g: &usize| {
         let mut out = Vec::with_capacity(scene.groups[*g].n_residual());
-        each_bin(scene, effects, responses, anchor, *g, |bin| bin.whiten(&mut out));
+        each_bin(scene, effects, responses, (anchor, amount), *g, |bin| bin.whiten(&mut out));
         out
     };
     groups.par_iter().map(whiten).collect::<Vec<Vec<f64>>>().concat()
@@ -45,12 +45,12 @@ pub fn expected(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    anchor: &Anchor,
+    (anchor, amount): (&Anchor, f64),
     groups: &[usize],
 ) -> f64 {
     let of_group = |g: &usize| {
         let mut sum = 0.0;
-        each_bin(scene, effects, responses, anchor, *g, |bin| sum += bin.expected());
+        each_bin(scene, effects, responses, (anchor, amount), *g, |bin| sum += bin.expected());
         sum
     };
     groups.par_iter().map(of_group).collect::<Vec<f64>>().iter().sum()
@@ -82,7 +82,7 @@ fn each_bin(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    anchor: &Anchor,
+    (anchor, amount): (&Anchor, f64),
     g: usize,
     mut visit: impl FnMut(&mut Bin),
 ) {
@@ -117,7 +117,7 @@ fn each_bin(
                     let mut motion = response.transfer[at];
                     if let Some(anchor) = &anchor.records[g][q] {
                         motion *= anchor.factor[at];
-                        predicted = predicted * anchor.factor[at] + anchor.rest[at];
+                        predicted = predicted * anchor.factor[at] + anchor.rest_at(at, amount);
                     }
                     predicted += arrival * inputs[q][k];
                     motion += arrival;
