@@ -8,7 +8,7 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 
 /// Shear-strain amplitudes at which a curve is measured.
-const AMPLITUDES: [f64; 8] = [3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
+const AMPLITUDES: [f64; 10] = [1e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
 /// Cycles driven at each amplitude; the last one is measured.
 const CYCLES: usize = 3;
 /// Increments of a cycle.

@@ -15,7 +15,7 @@ use crate::progress::Progress;
 /// Most steps of the recalibration, and after a new anchor.
 const STEPS: [usize; 2] = [12, 6];
 /// Most replays of a recalibration.
-const MAX_ANCHORS: usize = 5;
+const MAX_ANCHORS: usize = 6;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -33,7 +33,7 @@ pub fn diagnose(
     let mut scene = Scene::new(problem, settings)?;
     let declared = {
         let search = Search::new(&scene, settings, Some(replay))?;
-        search.anchored(&[], &vec![0.0; search.nuisances.len()])?
+        search.anchored(&[], &vec![0.0; search.nuisances.len()], None)?
     };
     scene.distrust(&declared);
     let search = Search::new(&scene, settings, Some(replay))?;
@@ -162,7 +162,7 @@ impl Search<'_> {
         let base = &path.corrected;
         let x = &best.model.x()[..base.x().len()];
         let near = self.settle(&base.effects, x, &path.anchor, Some(base), STEPS[1])?;
-        let anchor = self.anchored(&base.effects, near.x())?;
+        let anchor = self.anchored(&base.effects, near.x(), Some(&path.anchor))?;
         let model = self.settle(&base.effects, near.x(), &anchor, Some(&near), STEPS[1])?;
         progress.note(&format!("base: {:.0} so far, {:.0} from the effect's nuisances", base.cost(), model.cost()));
         let is_better = base.cost() - model.cost() > 0.3 * best.gain.max(self.charge());
@@ -174,12 +174,13 @@ impl Search<'_> {
         let mut model = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
         let mut best: Option<(Model, Anchor)> = None;
         for _ in 0..MAX_ANCHORS {
-            let anchor = self.anchored(&[], model.x())?;
-            let seen = self.settle(&[], model.x(), &anchor, Some(&model), 0)?;
+            let before = best.as_ref().map_or(anchor, |(_, anchor)| anchor);
+            let next = self.anchored(&[], model.x(), Some(before))?;
+            let seen = self.settle(&[], model.x(), &next, Some(&model), 0)?;
             progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", model.cost(), seen.cost()));
             let is_done = best.as_ref().is_some_and(|(b, _)| seen.cost() > 0.995 * b.cost());
             if best.as_ref().is_none_or(|(b, _)| seen.cost() < b.cost()) {
-                best = Some((seen.clone(), anchor));
+                best = Some((seen, next));
             }
             if is_done || self.replay.is_none() {
                 break;

@@ -44,7 +44,7 @@ impl Fitter<'_> {
     pub fn at(&self, unknowns: &Unknowns<'_>, x: &[f64], near: Option<&Responses>, iterations: usize) -> Result<Point> {
         let effects = unknowns.build(&self.scene.problem.declared, x)?;
         let responses = self.scene.responses(&effects, self.groups, near, iterations)?;
-        let residual = whitened(self.scene, &effects, &responses, self.anchor, self.groups);
+        let residual = whitened(self.scene, &effects, &responses, (self.anchor, self.anchor.amount(x)), self.groups);
         let prior: f64 = x[..unknowns.nuisances.len()].iter().map(|n| n * n).sum();
         let mut cost = residual.iter().map(|r| r * r).sum::<f64>() + prior;
         if !cost.is_finite() {
@@ -59,7 +59,7 @@ impl Fitter<'_> {
     /// When an effect cannot be built.
     pub fn expected(&self, unknowns: &Unknowns<'_>, point: &Point) -> Result<f64> {
         let effects = unknowns.build(&self.scene.problem.declared, &point.x)?;
-        Ok(expected(self.scene, &effects, &point.responses, self.anchor, self.groups))
+        Ok(expected(self.scene, &effects, &point.responses, (self.anchor, 0.0), self.groups))
     }
 
     /// ∂ρ/∂x at `point` for the unknowns in `which`, column by column.

@@ -138,16 +138,16 @@ impl<'a> Search<'a> {
         Ok(Model { effects: effects.to_vec(), train, validation, expected })
     }
 
-    /// Replays the events at `model`; without a replay, the fast column is its own anchor.
+    /// Replays the events at `x`, `before` being the anchor from which it was reached; without a replay, the fast column is its own anchor.
     ///
     /// # Errors
     /// When the replay is impossible.
-    pub fn anchored(&self, effects: &[Instance], x: &[f64]) -> Result<Anchor> {
+    pub fn anchored(&self, effects: &[Instance], x: &[f64], before: Option<&Anchor>) -> Result<Anchor> {
         let Some(replay) = self.replay else { return Ok(Anchor::fast(self.scene)) };
         let unknowns = self.unknowns(effects);
         let built = unknowns.build(&self.scene.problem.declared, x)?;
         let all: Vec<usize> = (0..self.scene.groups.len()).collect();
         let responses = self.scene.responses(&built, &all, None, ITERATIONS[0])?;
-        Anchor::replayed(self.scene, replay, &unknowns.tables(x), &responses)
+        Anchor::replayed(self.scene, replay, (&unknowns.tables(x), x), &responses, before)
     }
 }
