@@ -94,20 +94,26 @@ fn structure(remainder: &Remainder) -> Markup {
     }
 }
 
-/// From well below one to above the largest.
+/// One and all levels, with room on either side.
 fn level_range(levels: impl Iterator<Item = f64>) -> (f64, f64) {
-    let top = levels.filter(|v| v.is_finite()).fold(2.0, f64::max);
-    (0.3, top * 1.5)
+    let seen = levels.filter(|v| v.is_finite() && *v > 0.0);
+    let (low, high) = seen.fold((0.5, 2.0), |(a, b), v| (f64::min(a, v), f64::max(b, v)));
+    (low / 1.5, high * 1.5)
 }
 
 fn by_frequency(remainder: &Remainder) -> Markup {
-    let (first, last) = (remainder.edges_hz[0], remainder.edges_hz[remainder.edges_hz.len() - 1]);
+    // The last band is open: it is drawn as wide as the one before.
+    let mut edges_hz = remainder.edges_hz.clone();
+    if let [.., a, b, last] = edges_hz.as_mut_slice() {
+        *last = last.min(*b + (*b - *a));
+    }
+    let (first, last) = (edges_hz[0], edges_hz[edges_hz.len() - 1]);
     let mut curves = vec![level_one(first, last)];
     let mut keys = Vec::new();
     for (i, (sensor, levels)) in remainder.sensors.iter().enumerate() {
         let color = chart::SERIES[i % chart::SERIES.len()];
         let dash = [None, Some("5 2"), Some("2 2")][i / chart::SERIES.len() % 3];
-        let steps = levels.iter().zip(remainder.edges_hz.windows(2));
+        let steps = levels.iter().zip(edges_hz.windows(2));
         let points = steps.flat_map(|(level, edges)| [(edges[0], *level), (edges[1], *level)]).collect();
         curves.push(Curve { points, color, width: 1.8, dash });
         keys.push(Key { name: sensor, color, dash });
