@@ -1,7 +1,7 @@
 //! The whole catalogue: what holds for every effect.
 
 use super::*;
-use crate::column::{Analysis, Column, Layer, Rayleigh, Vertical};
+use crate::column::{Analysis, Column, Features, Layer, Rayleigh, Vertical};
 use std::collections::BTreeSet;
 
 fn array() -> Array {
@@ -20,13 +20,21 @@ fn array() -> Array {
             vertical: Vertical::Free,
             rayleigh: Rayleigh { alpha_1_s: 0.1, beta_s: 1e-4 },
             elements: 40,
-            features: Default::default(),
+            features: Features::default(),
         },
         input: "base".into(),
         outputs: vec!["mid".into(), "top".into()],
         depths_m: vec![5.0, 0.0],
         components: vec!["EW".into(), "NS".into()],
     }
+}
+
+/// The same in a container, and instances of both.
+fn all_instances() -> Vec<(Array, Instance)> {
+    let mut contained = array();
+    contained.profile.vertical = Vertical::Restrained;
+    let of = |array: Array| instances(&array).into_iter().map(move |i| (array.clone(), i)).collect::<Vec<_>>();
+    [of(array()), of(contained)].concat()
 }
 
 fn motions() -> Vec<Channels> {
@@ -50,9 +58,9 @@ fn observed(array: &Array, motions: &[Channels], table: &toml::Table, direction:
 
 #[test]
 fn every_effect_of_zero_strength_leaves_everything_bit_identical() {
-    let (array, motions) = (array(), motions());
+    let motions = motions();
     let situation = Situation { component: Some(1), order: Some(2.5) };
-    for instance in instances(&array) {
+    for (array, instance) in all_instances() {
         let Some(zero) = instance.zero() else { continue };
         let table = instance.at(&zero);
         let mut profile = array.profile.clone();
@@ -68,13 +76,10 @@ fn every_effect_of_zero_strength_leaves_everything_bit_identical() {
 
 #[test]
 fn every_effect_does_something_where_it_is_drawn_and_the_column_still_runs() {
-    let (array, motions) = (array(), motions());
+    let motions = motions();
     let mut random = crate::numerics::random::stream(3, "catalogue test");
     let mut seen = BTreeSet::new();
-    // A container is only looked for around a model that is restrained vertically.
-    let mut in_container = array.clone();
-    in_container.profile.vertical = Vertical::Restrained;
-    for instance in instances(&array).into_iter().chain(instances(&in_container)) {
+    for (array, instance) in all_instances() {
         let table = instance.draw(&mut random);
         let mut profile = array.profile.clone();
         let situation = Situation { component: Some(0), order: Some(2.0) };
