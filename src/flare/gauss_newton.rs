@@ -6,8 +6,8 @@
 //!
 //! `λ` is the weight of the penalty and `P` its matrix, `μ` the damping of Levenberg and Marquardt in the same metric: a step
 //! is taken if it lowers the objective and no rollout of a training event leaves its bound, and shortened (larger μ) until it
-//! does. A walk goes down a ladder of falling penalties, each rung from where the last one ended: fit, threshold, fit what is
-//! left. There is one walk from Ξ₀ for each choice of free terms. Every step is judged on the validation events, which thereby
+//! does. A walk goes down a ladder of falling penalties, each rung from where the last one ended and with what it left after
+//! thresholding. There is one walk from Ξ₀ for each choice of free terms. Every step is judged on the validation events, which thereby
 //! choose penalty and terms; a walk ends when some rungs in a row bring nothing there.
 
 use super::calibrate::Candidate;
@@ -27,7 +27,7 @@ use faer::{Mat, Side};
 pub(super) const FIRST_DAMPING: f64 = 1.0;
 const DAMPING: (f64, f64) = (1e-6, 1e8);
 /// A rung ends when a step lowers the objective by less than this share.
-const SMALLEST_GAIN: f64 = 2e-3;
+const SMALLEST_GAIN: f64 = 5e-3;
 /// Rungs in a row without a better validation that end a walk.
 const PATIENCE: usize = 3;
 
@@ -55,9 +55,7 @@ pub struct Search {
     pub walk: usize,
     /// Rung of the ladder.
     pub rung: usize,
-    /// Whether the rung was thresholded already.
-    pub is_thresholded: bool,
-    /// Steps taken since the rung began or was thresholded.
+    /// Steps taken since the rung began.
     pub step: usize,
     /// Rungs since the walk last bettered its own validation error.
     pub idle: usize,
@@ -81,7 +79,6 @@ impl Search {
         Self {
             walk: 0,
             rung: 0,
-            is_thresholded: false,
             step: 0,
             idle: 0,
             lowest: start.validation,
@@ -103,8 +100,8 @@ impl Search {
         self.walk * settings.penalty_ladder.len() + self.rung
     }
 
-    /// Takes one step, and goes on to thresholding, the next rung or the next walk (from `start`) where the steps have come
-    /// to an end.
+    /// Takes one step; where the steps have come to an end, thresholds and goes on to the next rung or, from `start`, to the
+    /// next walk.
     pub fn advance(&mut self, problem: &Problem<'_>, start: &Candidate) {
         let settings = problem.settings;
         let goes_on = self.step_down(problem);
@@ -113,11 +110,9 @@ impl Search {
             return;
         }
         self.step = 0;
-        if !self.is_thresholded && self.at.threshold(settings.threshold) {
-            self.is_thresholded = true;
-            return;
+        if self.at.threshold(settings.threshold) {
+            self.judge(problem);
         }
-        self.is_thresholded = false;
         self.idle = if self.lowest < self.before { 0 } else { self.idle + 1 };
         self.before = self.lowest;
         self.rung += 1;
@@ -125,6 +120,15 @@ impl Search {
             let next = Self::new(start.clone());
             let (walk, best, history) = (self.walk + 1, self.best.clone(), std::mem::take(&mut self.history));
             *self = Self { walk, best, history, ..next };
+        }
+    }
+
+    /// Judges where the walk is on the validation events; one that diverges there can never be the best.
+    fn judge(&mut self, problem: &Problem<'_>) {
+        self.at.validation = problem.validation.error(&self.at.xi, None);
+        self.lowest = self.lowest.min(self.at.validation);
+        if self.at.validation < self.best.validation {
+            self.best = self.at.clone();
         }
     }
 
@@ -140,11 +144,7 @@ impl Search {
             return false;
         };
         self.at.xi = xi;
-        self.at.validation = problem.validation.error(&self.at.xi, None);
-        self.lowest = self.lowest.min(self.at.validation);
-        if self.at.validation < self.best.validation {
-            self.best = self.at.clone();
-        }
+        self.judge(problem);
         let (observation, penalty) = problem.parts(&self.at.xi);
         let new = observation + weight * penalty;
         let judged = if self.at.validation.is_finite() { self.at.validation } else { f64::NAN };

@@ -100,7 +100,7 @@ impl Default for PretrainSettings {
             checkpoint_every: 5,
             state_bound: 1e3,
             stress_factor: 1.0,
-            limit_factor: 1.5,
+            limit_factor: 1.0,
         }
     }
 }
@@ -267,7 +267,7 @@ pub struct CalibrateSettings {
     pub penalty_ladder: Vec<f64>,
     /// Gauss–Newton: which terms may move, tried one after the other; the validation events choose.
     pub free_terms: Vec<FreeTerms>,
-    /// Gauss–Newton: most steps for one value of λ_Δ, before and again after thresholding.
+    /// Gauss–Newton: most steps for one value of λ_Δ; thresholding follows.
     pub steps: usize,
     /// Calibrated coefficients below this (per sample) are removed for good at each thresholding.
     pub threshold: f64,
