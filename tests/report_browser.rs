@@ -36,6 +36,10 @@ fn a_browser_shows_every_section_without_complaint() {
     assert!(out.status.success(), "{log}");
     for id in [
         "summary",
+        "loop",
+        "loop-errors",
+        "loop-candidates",
+        "loop-rest",
         "held-out",
         "event-6",
         "scores",

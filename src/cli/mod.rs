@@ -5,6 +5,7 @@ mod completions;
 mod gc;
 mod graph;
 mod list;
+mod power;
 mod predict;
 mod report;
 mod reporter;
@@ -13,6 +14,7 @@ mod schema;
 mod show;
 mod status;
 mod twin;
+mod twins;
 mod workspace;
 
 use crate::error::Result;
@@ -39,11 +41,15 @@ enum Command {
     Status(status::StatusArguments),
     /// Predict the response to one new event from its base motion and a short initial window
     Predict(predict::PredictArguments),
+    /// Before any data: which effects could this array and split reveal, which are confusable
+    Power(power::PowerArguments),
     /// Write the records of a twin site, whose truth a manifest does not declare
     Twin(twin::TwinArguments),
+    /// Diagnose many twins with drawn truths and tally the answers
+    Twins(twins::TwinsArguments),
     /// Rebuild the report from cached results
     Report(SiteArguments),
-    /// Print the latent equations of the trained model of a site
+    /// Print what is inside the trained model of a site
     Show(show::ShowArguments),
     /// Print the pipeline as a graph
     Graph(graph::GraphArguments),
@@ -84,7 +90,9 @@ pub fn dispatch(arguments: Arguments) -> Result<()> {
         Command::Check(arguments) => check::check(&arguments),
         Command::Status(arguments) => status::status(&arguments),
         Command::Predict(arguments) => predict::predict(&arguments),
+        Command::Power(arguments) => power::power(&arguments),
         Command::Twin(arguments) => twin::twin(&arguments),
+        Command::Twins(arguments) => twins::twins(&arguments),
         Command::Report(arguments) => report::report(&arguments),
         Command::Show(arguments) => show::show(&arguments),
         Command::Graph(arguments) => graph::graph(&arguments),

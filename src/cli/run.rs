@@ -6,6 +6,7 @@ use super::workspace::Workspace;
 use crate::error::{Context, Error, Result};
 use crate::pipeline::{self, Mode, Options, Summary, write_if_changed};
 use crate::progress::Quiet;
+use crate::stages::correct;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 
@@ -96,6 +97,7 @@ pub fn run(arguments: &RunArguments) -> Result<()> {
     let terminal = Terminal::new(arguments.verbosity());
     let mut summary = pipeline::run(&site, &workspace.graph, &options, Mode::Run, &terminal)?;
     publish_metrics(&workspace)?;
+    publish_correction(&workspace)?;
     print_json(arguments, &summary)?;
     if summary.failures.is_empty() {
         if arguments.verbosity() > Verbosity::Quiet {
@@ -139,6 +141,29 @@ fn print_json(arguments: &RunArguments, summary: &Summary) -> Result<()> {
         });
         println!("{}", serde_json::to_string_pretty(&outcome).context(|| "cannot write the outcome".into())?);
     }
+    Ok(())
+}
+
+/// `site.corrected.toml`: the manifest with the sections that the stage `correct` wrote, a site of its own that runs by
+/// itself; gone where nothing was corrected.
+fn publish_correction(workspace: &Workspace) -> Result<()> {
+    let site = workspace.site();
+    let Ok(folder) = pipeline::output(&site, &workspace.graph, "correct") else { return Ok(()) };
+    let path = folder.join(correct::FILE);
+    let text = std::fs::read_to_string(&path).context(|| format!("cannot read `{}`", path.display()))?;
+    let sections: toml::Table = toml::from_str(&text).context(|| format!("`{}` is no TOML", path.display()))?;
+    let published = site.dir().join("site.corrected.toml");
+    if sections.iter().all(|(name, section)| workspace.table.get(name) == Some(section)) {
+        if published.is_file() {
+            std::fs::remove_file(&published).context(|| format!("cannot remove `{}`", published.display()))?;
+        }
+        return Ok(());
+    }
+    let mut manifest = workspace.table.clone();
+    manifest.extend(sections);
+    manifest.insert("name".into(), format!("{}-corrected", site.name).into());
+    let head = format!("# Site `{}` with the effects that its records ask for. Written by flare-pipe.\n", site.name);
+    write_if_changed(&published, (head + &manifest.to_string()).as_bytes())?;
     Ok(())
 }
 

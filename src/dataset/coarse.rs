@@ -46,6 +46,11 @@ impl Coarse {
         self.base_m_s2.len()
     }
 
+    /// One history a sensor, m/s².
+    pub fn sensors(&self) -> Vec<Vec<f64>> {
+        (0..self.n_sparse).map(|j| self.sparse_m_s2.iter().skip(j).step_by(self.n_sparse).copied().collect()).collect()
+    }
+
     fn new(id: &str, dt_in_s: f64, dt_s: f64, base: &[f64], dense: Vec<Vec<f64>>, sparse: Vec<Vec<f64>>) -> Self {
         Self {
             id: id.into(),

@@ -1,7 +1,7 @@
 //! Joint estimates of nuisances and effects: bounded Levenberg–Marquardt on whitened residuals and priors.
 
 use super::anchor::Anchor;
-use super::cost::whitened;
+use super::cost::{expected, whitened};
 use super::responses::{Responses, Scene};
 use super::unknowns::Unknowns;
 use crate::error::Result;
@@ -9,8 +9,8 @@ use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rayon::prelude::*;
 
-/// Strain iterations of a new point, of a step of the fit, and of a finite difference.
-pub(super) const ITERATIONS: [usize; 3] = [8, 4, 2];
+/// Most strain iterations of a new point, of a step of the fit, and of a finite difference.
+pub(super) const ITERATIONS: [usize; 3] = [30, 15, 2];
 
 /// A point in the space of unknowns and all that was computed there.
 #[derive(Clone)]
@@ -44,7 +44,7 @@ impl Fitter<'_> {
     pub fn at(&self, unknowns: &Unknowns<'_>, x: &[f64], near: Option<&Responses>, iterations: usize) -> Result<Point> {
         let effects = unknowns.build(&self.scene.problem.declared, x)?;
         let responses = self.scene.responses(&effects, self.groups, near, iterations)?;
-        let residual = whitened(self.scene, &effects, &responses, self.anchor, self.groups);
+        let residual = whitened(self.scene, &effects, &responses, (self.anchor, self.anchor.amount(x)), self.groups);
         let prior: f64 = x[..unknowns.nuisances.len()].iter().map(|n| n * n).sum();
         let mut cost = residual.iter().map(|r| r * r).sum::<f64>() + prior;
         if !cost.is_finite() {
@@ -53,9 +53,19 @@ impl Fitter<'_> {
         Ok(Point { x: x.to_vec(), responses, residual, cost })
     }
 
+    /// The cost of `point` if only noise were left.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    pub fn expected(&self, unknowns: &Unknowns<'_>, point: &Point) -> Result<f64> {
+        let effects = unknowns.build(&self.scene.problem.declared, &point.x)?;
+        Ok(expected(self.scene, &effects, &point.responses, (self.anchor, 0.0), self.groups))
+    }
+
     /// ∂ρ/∂x at `point` for the unknowns in `which`, column by column.
     pub fn jacobian(&self, unknowns: &Unknowns<'_>, point: &Point, which: &[usize]) -> Mat<f64> {
         let steps = unknowns.steps();
+        let drifted = self.drifted(unknowns, point);
         let columns: Vec<Vec<f64>> = which
             .par_iter()
             .map(|&i| {
@@ -69,13 +79,20 @@ impl Fitter<'_> {
                     }
                     let Ok(moved) = self.at(unknowns, &x, Some(&point.responses), ITERATIONS[2]) else { continue };
                     if moved.cost.is_finite() {
-                        return moved.residual.iter().zip(&point.residual).map(|(a, b)| (a - b) / step).collect();
+                        return difference(&moved, point, &drifted, step);
                     }
                 }
                 vec![0.0; point.residual.len()]
             })
             .collect();
         Mat::from_fn(point.residual.len(), which.len(), |i, j| columns[j][i])
+    }
+
+    /// Residuals of `point` after the strain iterations of a finite difference: its strains may not have quite converged, and
+    /// what they still move must not be taken for a derivative.
+    pub fn drifted(&self, unknowns: &Unknowns<'_>, point: &Point) -> Vec<f64> {
+        let again = self.at(unknowns, &point.x, Some(&point.responses.strains_only()), ITERATIONS[2]);
+        again.map_or_else(|_| point.residual.clone(), |p| p.residual)
     }
 
     /// Minimises the cost from `start`, at most `steps` accepted steps.
@@ -90,7 +107,7 @@ impl Fitter<'_> {
             let jacobian = self.jacobian(unknowns, &point, &all);
             let (normal, gradient) = normal_equations(unknowns, &jacobian, &point);
             let mut best: Option<Point> = None;
-            for _ in 0..4 {
+            for _ in 0..6 {
                 let Some(step) = damped_step(&normal, &gradient, lambda) else { break };
                 let mut x: Vec<f64> = point.x.iter().zip(&step).map(|(x, d)| x + d).collect();
                 unknowns.clip(&mut x);
@@ -114,13 +131,12 @@ impl Fitter<'_> {
         Ok(point)
     }
 
-    /// Posterior standard deviations at `point`, widened where the fit is worse than its noise.
-    pub fn deviations(&self, unknowns: &Unknowns<'_>, point: &Point) -> Vec<f64> {
+    /// Posterior standard deviations at `point`, widened where the fit is worse than its noise: `level` times its cost.
+    pub fn deviations(&self, unknowns: &Unknowns<'_>, point: &Point, level: f64) -> Vec<f64> {
+        let widened = level.max(1.0).sqrt();
         let all: Vec<usize> = (0..unknowns.len()).collect();
         let jacobian = self.jacobian(unknowns, point, &all);
         let (normal, _) = normal_equations(unknowns, &jacobian, point);
-        let level = point.residual.iter().map(|r| r * r).sum::<f64>() / point.residual.len().max(1) as f64;
-        let widened = level.max(1.0).sqrt();
         match normal.llt(Side::Lower) {
             Ok(factor) => {
                 let inverse = factor.solve(Mat::<f64>::identity(normal.nrows(), normal.nrows()));
@@ -129,6 +145,12 @@ impl Fitter<'_> {
             Err(_) => vec![f64::INFINITY; normal.nrows()],
         }
     }
+}
+
+/// Derivative of the residuals from `point` (or its `drifted` residuals, where the columns changed) to `moved`.
+pub(super) fn difference(moved: &Point, point: &Point, drifted: &[f64], step: f64) -> Vec<f64> {
+    let from = if moved.responses.shares_columns(&point.responses) { &point.residual } else { drifted };
+    moved.residual.iter().zip(from).map(|(a, b)| (a - b) / step).collect()
 }
 
 /// JᵀJ + P and −(Jᵀρ + P x), P the prior precision of the nuisances.

@@ -1,7 +1,7 @@
 //! Noise of each sensor from its own record: what it shows before the event, or beyond the band of the shaking.
 
 use super::problem::NoiseSpectrum;
-use crate::metrics::rms;
+use crate::metrics::{median, rms};
 use crate::numerics::filter;
 use crate::records::Record;
 use realfft::RealFftPlanner;
@@ -10,9 +10,9 @@ use std::f64::consts::PI;
 /// Shortest quiet stretch before the event that tells noise, s.
 const QUIET_S: f64 = 4.0;
 /// Blocks by which the quiet stretch is followed, s.
-const BLOCK_S: f64 = 0.5;
-/// Growth of a block's RMS that ends the quiet stretch.
-const GROWTH: f64 = 1.6;
+const BLOCK_S: f64 = 1.0;
+/// Growth of a block's RMS over the median of those before that ends the quiet stretch.
+const GROWTH: f64 = 2.5;
 /// Largest share of the peak that a quiet stretch may reach.
 const QUIET_SHARE: f64 = 0.1;
 /// Segments of the averaged spectrum, s.
@@ -51,12 +51,7 @@ fn quiet_samples(record: &Record) -> Option<usize> {
         let fast = filter::zero_phase(x, record.dt_s, |f| 1.0 - 1.0 / (1.0 + (f / 0.5).powi(8)));
         let peak = fast.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         let blocks: Vec<f64> = fast.chunks_exact(block).map(rms).collect();
-        let mut sum = 0.0;
-        let grows = |(i, r): (usize, &f64)| {
-            let mean = if i == 0 { *r } else { sum / i as f64 };
-            sum += r;
-            *r > GROWTH * mean || *r > QUIET_SHARE * peak
-        };
+        let grows = |(i, r): (usize, &f64)| *r > GROWTH * median(&blocks[..i.max(1)]) || *r > QUIET_SHARE * peak;
         // The block before the growth may already hold its beginning.
         blocks.iter().enumerate().position(grows).unwrap_or(blocks.len()).saturating_sub(1) * block
     };

@@ -12,7 +12,7 @@ use super::unknowns::{Nuisance, nuisances};
 use crate::effects;
 use crate::error::{Error, Result};
 use crate::numerics::random;
-use crate::progress::Progress;
+use crate::progress::{Progress, Quiet};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
@@ -84,8 +84,8 @@ fn null(scene: &Scene<'_>, settings: &DiagnoseSettings, seed: u64) -> Result<Nul
     let anchor = Anchor::fast(&twin);
     let zero = vec![0.0; nuisances.len()];
     let base = search.settle(&[], &zero, &anchor, None, STEPS)?;
-    let round = search.round(Ground { declared: None, base, anchor: &anchor })?;
-    let n = round.base.validation.residual.len() as f64;
+    let round = search.round(Ground { declared: None, base, anchor: &anchor }, &Quiet)?;
+    let n = round.base.expected[1];
     Ok(Null {
         gain: round.fitted.first().map_or(0.0, |f| f.gain),
         excess: (round.base.validation_cost() - n) / (2.0 * n).sqrt(),

@@ -1,5 +1,6 @@
 //! Columns under effects: one linear-equivalent column for each situation, responses of every record at its bins.
 
+use super::anchor::Anchor;
 use super::curves::Curves;
 use super::fast_column::{FastColumn, Grid, March, element_count};
 use super::operators::Operators;
@@ -18,7 +19,11 @@ use std::sync::Arc;
 type C64 = Complex<f64>;
 
 /// Effective strain over the largest strain.
-const EFFECTIVE: f64 = 0.65;
+const EFFECTIVE: f64 = 0.7;
+/// Error of an extrapolation as a share of what the fast column misses at its anchor.
+const DISTRUST: f64 = 0.3;
+/// Relative change of every strain at which an iteration ends.
+const CONVERGED: f64 = 1e-4;
 /// Strain with which an iteration starts.
 const START_STRAIN: f64 = 1e-5;
 
@@ -83,6 +88,24 @@ impl<'a> Scene<'a> {
     pub fn bins(&self, g: usize, r: usize, history: &[f64]) -> Vec<C64> {
         let window = &self.groups[g].records[r].window;
         self.windowed(g, history.get(window.clone()).unwrap_or_default())
+    }
+
+    /// Counts what the fast column misses of the nonlinear one at `anchor` as an error of the motions, so that records which
+    /// it cannot follow do not lead the search.
+    pub fn distrust(&mut self, anchor: &Anchor) {
+        for (group, anchors) in self.groups.iter_mut().zip(&anchor.records) {
+            let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
+            let half = (spectra::SMOOTH_HZ / step_hz).round().max(1.0) as usize;
+            for (record, anchor) in group.records.iter_mut().zip(anchors) {
+                let Some(anchor) = anchor else { continue };
+                let count = record.noise.len() - 1;
+                for s in 0..count {
+                    let rest: Vec<C64> = anchor.rest.iter().skip(s).step_by(count).copied().collect();
+                    let power = spectra::smoothed(&rest, half);
+                    record.distrust[s + 1] = power.iter().map(|p| DISTRUST * DISTRUST * p).collect();
+                }
+            }
+        }
     }
 
     /// Indices of the groups of `split`.
@@ -190,10 +213,16 @@ impl<'a> Scene<'a> {
         let mut march = column.march(grid, &gamma, depths_m);
         for _ in 0..iterations {
             let norm = march.strain_norm(&group.frequencies_hz, &displacement);
+            let mut moved: f64 = 0.0;
             for (gamma, norm) in gamma.iter_mut().zip(norm) {
-                *gamma = (to_effective * norm).max(1e-9);
+                let next = (to_effective * norm).max(1e-9);
+                moved = moved.max((next / *gamma - 1.0).abs());
+                *gamma = next;
             }
             march = column.march(grid, &gamma, depths_m);
+            if moved < CONVERGED {
+                break;
+            }
         }
         let mut transfer = vec![C64::default(); group.frequencies_hz.len() * depths_m.len()];
         for (f, out) in group.frequencies_hz.iter().zip(transfer.chunks_exact_mut(depths_m.len())) {
@@ -257,6 +286,28 @@ fn interleaved(rows: Vec<Vec<C64>>) -> Vec<C64> {
 }
 
 impl Responses {
+    /// Nothing but the strains, as a start for the same columns once more.
+    pub fn strains_only(&self) -> Self {
+        let bare = |r: &Arc<RecordResponse>| {
+            Arc::new(RecordResponse {
+                profile: r.profile.clone(),
+                column: r.column.clone(),
+                depths_m: Vec::new(),
+                strain: r.strain.clone(),
+                transfer: Vec::new(),
+                input: Vec::new(),
+                motion: Vec::new(),
+            })
+        };
+        Self { records: self.records.iter().map(|group| group.iter().map(bare).collect()).collect() }
+    }
+
+    /// Whether every column is the very one of `other`.
+    pub fn shares_columns(&self, other: &Self) -> bool {
+        let pairs = self.records.iter().flatten().zip(other.records.iter().flatten());
+        pairs.into_iter().all(|(a, b)| Arc::ptr_eq(a, b))
+    }
+
     /// The profile equal to `profile` that these responses already share.
     fn find(&self, profile: &Profile) -> Option<Arc<Profile>> {
         self.records.iter().flatten().map(|r| &r.profile).find(|p| ***p == *profile).cloned()

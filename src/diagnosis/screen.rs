@@ -1,6 +1,7 @@
 //! Screening: what each effect would gain with the nuisances free to follow, linearly.
 
-use super::fit::{Fitter, ITERATIONS, Point, gram, project};
+use super::fit::{Fitter, ITERATIONS, Point, difference, gram, project};
+use super::line;
 use super::unknowns::Unknowns;
 use crate::effects::Instance;
 use faer::linalg::solvers::{Llt, Solve};
@@ -120,12 +121,13 @@ pub fn screen(
     pass: Pass,
 ) -> (Marginal, Vec<Screened>) {
     let marginal = Marginal::new(fitter, unknowns, point);
+    let drifted = fitter.drifted(unknowns, point);
     let reference = marginal.cost(&point.residual);
     let found = instances
         .par_iter()
         .enumerate()
         .filter_map(|(index, instance)| {
-            let trial = Trial { fitter, unknowns, point, marginal: &marginal, instance };
+            let trial = Trial { fitter, unknowns, point, marginal: &marginal, drifted: &drifted, instance };
             let (start, cost) = trial.best(pass)?;
             Some(Screened { instance: index, start, fall: reference - cost })
         })
@@ -139,6 +141,7 @@ struct Trial<'a> {
     unknowns: &'a Unknowns<'a>,
     point: &'a Point,
     marginal: &'a Marginal,
+    drifted: &'a [f64],
     instance: &'a Instance,
 }
 
@@ -151,6 +154,9 @@ impl Trial<'_> {
     fn best(&self, pass: Pass) -> Option<(Vec<f64>, f64)> {
         let bounds = self.instance.bounds();
         let start = self.instance.zero().unwrap_or_else(|| self.instance.start());
+        if line::hidden(self.instance) > 0.0 && bounds.len() == 2 {
+            return self.best_line(&start, &bounds);
+        }
         let mut tries: Vec<Vec<f64>> = Vec::new();
         if bounds.is_empty() {
             tries.push(Vec::new());
@@ -174,9 +180,24 @@ impl Trial<'_> {
         costs.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
+    /// A line: its frequency from where the residual stands out, its amplitude by score.
+    fn best_line(&self, start: &[f64], bounds: &[[f64; 2]]) -> Option<(Vec<f64>, f64)> {
+        let array = &self.fitter.scene.problem.array;
+        let name = self.instance.target.get("sensor").and_then(toml::Value::as_str);
+        let sensor = array.outputs.iter().position(|s| Some(s.as_str()) == name);
+        let frequency_hz = line::strongest(self.fitter, self.point, sensor)?;
+        let tries = (-3..=3).filter_map(|k| {
+            let at = (frequency_hz + 0.01 * f64::from(k)).clamp(bounds[1][0], bounds[1][1]);
+            let x = self.scored(&[start[0], at], bounds)?;
+            let cost = self.marginal.cost(&self.at(&x)?.residual);
+            Some((x, cost))
+        });
+        tries.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
     /// The Gauss–Newton step of the strength; what only shapes the effect stays.
     fn scored(&self, start: &[f64], bounds: &[[f64; 2]]) -> Option<Vec<f64>> {
-        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start)?;
+        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start, self.drifted)?;
         let (delta, _) = self.marginal.score(&self.point.residual, &column)?;
         let mut x = start.to_vec();
         // A step to or across zero would say nothing about the effect.
@@ -208,14 +229,16 @@ pub(super) fn derivative(
     point: &Point,
     instance: &Instance,
     start: &[f64],
+    drifted: &[f64],
 ) -> Option<Mat<f64>> {
     let free = instance.free.first()?;
     let step = 0.1 * free.parameter.prior_sd;
     let step = if start[0] + step > free.parameter.bounds()[1] { -step } else { step };
     let mut moved = start.to_vec();
     moved[0] += step;
-    let residual = with_effect(fitter, unknowns, point, instance, &moved)?.residual;
-    Some(Mat::from_fn(residual.len(), 1, |i, _| (residual[i] - point.residual[i]) / step))
+    let found = with_effect(fitter, unknowns, point, instance, &moved)?;
+    let column = difference(&found, point, drifted, step);
+    Some(Mat::from_fn(column.len(), 1, |i, _| column[i]))
 }
 
 #[cfg(test)]

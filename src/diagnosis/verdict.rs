@@ -1,6 +1,7 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
 use super::diagnose::Path;
+use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
 use super::outcome::{
     Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound, Verdict,
@@ -25,16 +26,17 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let fitter = search.fitter(&path.anchor);
     let corrected = &path.corrected;
     let unknowns = search.unknowns(&corrected.effects);
-    let deviations = fitter.deviations(&unknowns, &corrected.train);
+    let deviations = fitter.deviations(&unknowns, &corrected.train, corrected.level());
     let excess = [&path.declared, &path.recalibrated, corrected].map(excess);
-    let expected = search.expected_cost();
-    let lost = path.recalibrated.cost() - expected;
+    let lost = path.recalibrated.excess();
     let explained_share = (!path.accepted.is_empty() && lost > 0.0)
         .then(|| ((path.recalibrated.cost() - corrected.cost()) / lost).clamp(0.0, 1.0));
     let ambiguity = ambiguity(search, path);
     let mut notes = Vec::new();
     let verdict = verdict(search, path, thresholds, explained_share, excess[2], &ambiguity, &mut notes);
     let is_named = !path.accepted.is_empty();
+    let evidence = evidence(search, corrected, &path.anchor)?;
+    notes.extend(unnamed(&evidence, verdict));
     let nuisances = unknowns.nuisance_tables(&path.recalibrated.x()[..search.nuisances.len()]);
     let corrected_nuisances = unknowns.nuisance_tables(&corrected.x()[..search.nuisances.len()]);
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
@@ -46,25 +48,35 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
         corrected_nuisances,
         candidates: path.candidates.clone(),
         explained_share,
-        input_coherent_share: None,
+        input_coherent_share: input_coherent_share(search, &path.recalibrated),
         declared: excess[0],
         recalibrated: excess[1],
         corrected: excess[2],
         tolerance_alarms: tolerance_alarms(search, corrected, &deviations, thresholds),
         upper_bounds,
         remainder: remainder(search, corrected),
+        evidence,
         notes,
     })
 }
 
+/// What a correction without a name would take out, where the verdict is that nothing named explains the records.
+fn unnamed(evidence: &Evidence, verdict: Verdict) -> Option<String> {
+    let [before, after] =
+        evidence.generic.values().fold([0.0, 0.0], |sum, c| [sum[0] + c.validation[0], sum[1] + c.validation[1]]);
+    (verdict == Verdict::Unknown && before > 0.0).then(|| {
+        format!(
+            "a smooth factor for each sensor, which is no physics, would take {:.0} % of the residual's power off the validation events",
+            100.0 * (1.0 - after / before)
+        )
+    })
+}
+
 fn excess(model: &Model) -> Excess {
-    let of = |residual: &[f64], cost: f64| {
-        let n = residual.len() as f64;
-        (cost - n) / (2.0 * n).sqrt()
-    };
+    let of = |cost: f64, expected: f64| (cost - expected) / (2.0 * expected).sqrt();
     Excess {
-        train: of(&model.train.residual, model.train.cost),
-        validation: of(&model.validation.residual, model.validation_cost()),
+        train: of(model.train.cost, model.expected[0]),
+        validation: of(model.validation_cost(), model.expected[1]),
     }
 }
 
@@ -184,10 +196,11 @@ fn tolerance_alarms(
 fn upper_bounds(search: &Search<'_>, fitter: &Fitter<'_>, model: &Model) -> Vec<UpperBound> {
     let unknowns = search.unknowns(&model.effects);
     let marginal = Marginal::new(fitter, &unknowns, &model.train);
+    let drifted = fitter.drifted(&unknowns, &model.train);
     let mut bounds: BTreeMap<(String, String), UpperBound> = BTreeMap::new();
     for instance in &search.instances {
         let (Some(free), Some(zero)) = (instance.free.first(), instance.zero()) else { continue };
-        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero) else { continue };
+        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero, &drifted) else { continue };
         let Some((step, normal)) = marginal.score(&model.train.residual, &column) else { continue };
         let deviation = 1.0 / normal[(0, 0)].sqrt();
         let size = step[0].abs() + TWO_SIDED * deviation;

@@ -17,6 +17,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         ("pretrain", site.pretrain.problems()),
         ("distill", site.distill.problems()),
         ("calibrate", site.calibrate.problems()),
+        ("diagnose", site.diagnose.problems()),
         ("records", site.records.as_ref().map(|r| r.problems()).unwrap_or_default()),
     ];
     for (section, found) in sections {

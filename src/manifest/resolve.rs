@@ -1,8 +1,8 @@
 //! From the sections to what the domain works with: the profile of the column.
 
-use super::{ColumnSections, LayerSection, SiteSection};
+use super::{ColumnSections, LayerSection, OutputSection, SiteSection};
 use crate::column::{Features, Layer, Profile};
-use crate::effects::{self, Array, Situation};
+use crate::effects::{self, Array, Effect, Situation};
 use crate::error::{Error, Result};
 
 /// Depth of the water table that means a dry column, m.
@@ -76,6 +76,12 @@ impl ColumnSections {
         let mut profile = self.declared_profile()?;
         effects::apply(&self.effects, &mut profile, situation)?;
         Ok(profile)
+    }
+
+    /// Depths at which the output sensors really sit under `effects`, m.
+    pub fn sensor_depths_m(&self, effects: &[Box<dyn Effect>]) -> Vec<f64> {
+        let real = |s: &OutputSection| effects::depth_m(effects, &s.name, s.depth_m, self.site.depth_m);
+        self.sensors.output.iter().map(real).collect()
     }
 
     /// The array on the declared column, with horizontal `components`.

@@ -2,6 +2,7 @@
 
 use super::Problem;
 use crate::column::{Analysis, Rayleigh, Vertical};
+use crate::diagnosis::DiagnoseSettings;
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings};
 use crate::motion::MotionSettings;
 use crate::records::RecordSettings;
@@ -48,10 +49,24 @@ pub struct Site {
     /// Stage 3: latent coefficients from the measured events.
     #[serde(default)]
     pub calibrate: CalibrateSettings,
+    /// Search and decision of the diagnosis.
+    #[serde(default)]
+    pub diagnose: DiagnoseSettings,
+    /// What a study of two source models compares this one with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub study: Option<StudySection>,
     /// Effects added to the declared model: none in a declared manifest, some in a corrected one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
     pub effects: Vec<toml::Table>,
+}
+
+/// A second source model of the same site.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StudySection {
+    /// Manifest whose column it has; relative to this manifest.
+    pub other: String,
 }
 
 /// The sections that make a column and its sensors: what a stage that runs columns reads.
@@ -215,6 +230,7 @@ pub fn build(table: &toml::Table, problems: &mut Vec<Problem>) -> Option<Site> {
     ranges::<PretrainSettings>(table, "pretrain", problems, PretrainSettings::problems);
     ranges::<DistillSettings>(table, "distill", problems, DistillSettings::problems);
     ranges::<CalibrateSettings>(table, "calibrate", problems, CalibrateSettings::problems);
+    ranges::<DiagnoseSettings>(table, "diagnose", problems, DiagnoseSettings::problems);
     ranges::<RecordSettings>(table, "records", problems, RecordSettings::problems);
     if let Some(site) = section::<SiteSection>(table, "site") {
         super::check::profile_ranges(&site, problems);

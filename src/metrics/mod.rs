@@ -1,5 +1,6 @@
 //! Measures of agreement between a prediction and a record: one measure a file.
 
+mod bootstrap;
 mod cosine;
 mod nrmse;
 mod psa;
@@ -7,6 +8,7 @@ mod quartiles;
 mod r2;
 mod timewise;
 
+pub use bootstrap::median_interval;
 pub use cosine::cosine_similarity;
 pub use nrmse::nrmse_percent;
 pub use psa::{DAMPING, N_PERIOD, PERIOD_RANGE_S, log_periods_s, psa, psa_ln_rmse, spectrum_ln_rmse};

@@ -7,6 +7,7 @@ use crate::error::{Context, Error, Result};
 use serde::{Serialize, Serializer};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::path::PathBuf;
 
 /// What of the pipeline is wanted. Names are those of stages or of instances.
 #[derive(Debug, Clone, PartialEq)]
@@ -61,6 +62,8 @@ pub enum Reason {
     Changed(Change),
     /// The named stage must be done first.
     WaitsFor(String),
+    /// The stored output stands in for an outside file that is not there any more.
+    FileGone(String),
 }
 
 impl fmt::Display for Reason {
@@ -73,6 +76,7 @@ impl fmt::Display for Reason {
             Self::PreviousGone => f.write_str("changed since an output that is not in the cache any more"),
             Self::Changed(change) => change.fmt(f),
             Self::WaitsFor(stage) => write!(f, "decided when `{stage}` is done"),
+            Self::FileGone(file) => write!(f, "`{file}` is gone; what was made from it is kept"),
         }
     }
 }
@@ -92,7 +96,7 @@ pub struct Decision {
     pub kind: &'static str,
     /// What is to be done.
     pub action: Action,
-    /// Why; empty for what is stored.
+    /// Why; empty for what is stored, unless there is something to know about it.
     pub reasons: Vec<Reason>,
     /// Where its output lies or will lie, if that is known.
     pub entry: Option<Address>,
@@ -117,6 +121,8 @@ pub(super) struct Resolved {
     pub(super) parts: Parts,
     pub(super) address: Address,
     pub(super) parameters: toml::Table,
+    /// Outside files that are gone; their content is known from the output that is stored.
+    gone: Vec<String>,
 }
 
 /// Everything decisions need.
@@ -162,12 +168,17 @@ impl<'a> Planner<'a> {
             None => None,
             Some(source) => match of(source).filter(|s| matches!(self.store.state(&s.address), State::Sound(_))) {
                 None => return Ok(None),
-                Some(source) => Some(read_manifest(&self.store.dir(&source.address))?),
+                Some(source) => {
+                    let mut manifest = self.site.manifest.clone();
+                    manifest.extend(read_manifest(&self.store.dir(&source.address))?);
+                    Some(manifest)
+                }
             },
         };
         let manifest = other_manifest.as_ref().unwrap_or(self.site.manifest);
         let sections: Vec<&str> = node.stage.reads().iter().chain(node.stage.unkeyed()).copied().collect();
         let mut parameters = select(manifest, &sections);
+        node.stage.narrow(&mut parameters);
         if let Some(instance) = &node.instance {
             parameters.insert("each".into(), instance.clone().into());
         }
@@ -179,16 +190,41 @@ impl<'a> Planner<'a> {
                 inputs.insert(role, input.parts.key());
             }
         }
-        let paths = node.stage.files(&parameters, self.site.manifest_dir)?;
-        let files = paths.iter().map(|p| OutsideFile::read(p).map_err(Error::usage)).collect::<Result<_>>()?;
-        let parts = Parts {
+        let mut parts = Parts {
             kind: node.stage.kind().to_string(),
             version: node.stage.version(),
             parameters: leaves(&parameters, node.stage.unkeyed()),
             inputs,
-            files,
+            files: Vec::new(),
         };
-        Ok(Some(Resolved { address: parts.address(), parts, parameters }))
+        let paths = node.stage.files(&parameters, self.site.manifest_dir)?;
+        let (files, gone) = self.outside_files(&node.name, &parts, &paths)?;
+        parts.files = files;
+        Ok(Some(Resolved { address: parts.address(), parts, parameters, gone }))
+    }
+
+    /// The outside files of a node by content, and the names of those that are gone but were there when the output it used
+    /// last was made from otherwise the same parts: that output stands.
+    fn outside_files(&self, node: &str, parts: &Parts, paths: &[PathBuf]) -> Result<(Vec<OutsideFile>, Vec<String>)> {
+        let previous = || {
+            let last = self.memory.last(node)?;
+            let stored = self.store.parts(&last)?;
+            let is_same = Parts { files: Vec::new(), ..stored.clone() } == *parts && stored.files.len() == paths.len();
+            (is_same && matches!(self.store.state(&last), State::Sound(_))).then_some(stored.files)
+        };
+        let (mut files, mut gone) = (Vec::new(), Vec::new());
+        for (index, path) in paths.iter().enumerate() {
+            let known = if path.exists() { None } else { previous().and_then(|files| files.into_iter().nth(index)) };
+            let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+            match known.filter(|file| file.name == name) {
+                Some(file) => {
+                    files.push(file);
+                    gone.push(name);
+                }
+                None => files.push(OutsideFile::read(path).map_err(Error::usage)?),
+            }
+        }
+        Ok((files, gone))
     }
 
     /// The decision about a node whose key is known.
@@ -197,7 +233,7 @@ impl<'a> Planner<'a> {
         let state = self.store.state(&resolved.address);
         let is_sound = matches!(state, State::Sound(_));
         let last = self.memory.last(&node.name);
-        let reasons = match state {
+        let mut reasons = match state {
             _ if self.is_forced(index) => vec![Reason::Forced],
             State::Sound(_) => Vec::new(),
             State::Damaged(why) => vec![Reason::Damaged(why)],
@@ -215,6 +251,7 @@ impl<'a> Planner<'a> {
             (false, true) => Action::Run,
             (false, false) => Action::Leave,
         };
+        reasons.extend(resolved.gone.iter().cloned().map(Reason::FileGone));
         self.decision(index, action, reasons, Some(resolved.address.clone()))
     }
 

@@ -20,7 +20,7 @@ pub struct Node {
     pub stage: &'static dyn Stage,
     /// Role → outputs that play it.
     pub inputs: BTreeMap<String, Vec<Link>>,
-    /// Node whose `manifest.toml` gives the parameters, if not the manifest of the site.
+    /// Node whose `manifest.toml` holds sections that stand in for those of the manifest of the site.
     pub manifest: Option<usize>,
     /// Files of its output and their names in the folder of the site: `metrics.json`, of an instance `metrics.EW.json`.
     pub publishes: Vec<(&'static str, String)>,

@@ -32,7 +32,7 @@ pub struct RecipeStage {
     pub inputs: BTreeMap<String, String>,
     /// Dotted name of a list of texts in the manifest: one instance of the stage for each, seen as parameter `each`.
     pub each: Option<String>,
-    /// A stage whose output holds `manifest.toml`, canonical, to take parameters from instead of the given manifest.
+    /// A stage whose output holds `manifest.toml`: its sections stand in for those of the given manifest.
     pub manifest: Option<String>,
     /// Whether files of its output are copied to the folder of the site; `false` for all but one of those that would share
     /// a name.

@@ -28,6 +28,11 @@ pub trait Stage: Send + Sync {
         &[]
     }
 
+    /// Takes out of its parameters what cannot change its output: entries of a list that do not concern it.
+    fn narrow(&self, parameters: &mut toml::Table) {
+        let _ = parameters;
+    }
+
     /// Outside files whose content enters the key, in an order that the parameters determine. Relative paths in the
     /// manifest are relative to `manifest_dir`.
     ///

@@ -39,12 +39,12 @@ pub fn status(site: &Site<'_>, graph: &Graph) -> Result<Vec<StageStatus>> {
         let is_cached = decision.action == Action::Cached;
         let owner = entry.filter(|_| !is_cached).and_then(|e| Lock::holder(&store.lock_path(e)));
         let state = match decision.reasons.first() {
-            None => "cached",
+            _ if is_cached => "cached",
             _ if owner.is_some() => "running",
             Some(Reason::WaitsFor(_)) => "waits",
             Some(Reason::Damaged(_)) => "damaged",
             Some(Reason::NeverRun) => "never_run",
-            Some(_) => "outdated",
+            _ => "outdated",
         };
         StageStatus {
             state,

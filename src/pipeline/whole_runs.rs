@@ -268,6 +268,29 @@ fn an_outside_file_counts_by_content_and_not_by_place() {
     assert!(error.to_string().contains("absent.csv") && error.to_string().contains("in stage `file`"), "{error}");
 }
 
+#[test]
+fn what_was_made_from_an_outside_file_outlives_it() {
+    let place =
+        Place::new("about = 'x'\n[[stage]]\nname = 'file'\n[[stage]]\nname = 'join'\ninputs = { in = 'file' }\n");
+    fs::write(place.path("a.csv"), "1").expect("writable");
+    let manifest = "file = { path = 'a.csv' }";
+    place.run(manifest, &Options::default()).expect("runs");
+    place.computed();
+    fs::remove_file(place.path("a.csv")).expect("removable");
+    let edited = format!("{manifest}\njoin = {{ prefix = 'b' }}");
+    assert_eq!(
+        place.plan(&edited, &Options::default()).expect("plans"),
+        ["file Cached `a.csv` is gone; what was made from it is kept", "join Run `join.prefix` is new: \"b\""]
+    );
+    place.run(&edited, &Options::default()).expect("runs");
+    assert_eq!(place.computed(), ["join"]);
+    assert_eq!(place.with(&edited, status).expect("readable")[0].state, "cached");
+    // Nothing stands in for a file of another name, nor once the output is to be computed again.
+    let error = place.run("file = { path = 'b.csv' }", &Options::default()).expect_err("no such file");
+    assert!(error.to_string().contains("b.csv"), "{error}");
+    assert_eq!(place.run(manifest, &force("file")).expect("runs").failures.len(), 1);
+}
+
 const LOOP: &str = "about = 'x'
 [[stage]]
 name = 'before'

@@ -3,13 +3,16 @@
 //! [`render`] turns plain data ([`content::Content`]) into one HTML document that loads nothing from elsewhere: style and
 //! figures (inline SVG) are inside, there is no script. The same content gives the same bytes. Text is escaped throughout.
 //!
-//! One file a section (`summary`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
+//! One file a section (`summary`, `closing`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
 //! drawn with the few kinds of figure in `chart` and `heat`; `page` puts them together.
 
 mod bitmap;
 mod calibrate;
 mod chart;
 mod check;
+mod closing;
+mod closing_content;
+mod closing_rest;
 pub mod content;
 mod distill;
 mod figure;
@@ -22,6 +25,7 @@ mod page;
 mod pretrain;
 mod provenance;
 mod scores;
+mod study;
 mod summary;
 mod svg;
 mod thin;
@@ -56,7 +60,9 @@ pub fn render(content: &Content) -> Result<String> {
     check::lengths(content)?;
     let sections = [
         summary::section(content),
+        closing::section(content),
         scores::section(content),
+        study::section(content),
         held_out::section(content),
         pretrain::section(content),
         distill::section(content),

@@ -1,5 +1,6 @@
 //! Stage 3: the latent coefficients of one component from its measured events.
 
+use super::instrument::{Concern, Instrument, by_event, narrow};
 use super::{dataset, records};
 use crate::dataset::{Coarse, Normalisation};
 use crate::error::{Error, Result};
@@ -26,7 +27,20 @@ impl Stage for Calibrate {
 
     fn reads(&self) -> &'static [&'static str] {
         // Not `records.test`: what is held out is not even opened here.
-        &["calibrate", "sensors", "records.format", "records.components", "records.train", "records.validation"]
+        &[
+            "calibrate",
+            "sensors",
+            "site.depth_m",
+            "effects",
+            "records.format",
+            "records.components",
+            "records.train",
+            "records.validation",
+        ]
+    }
+
+    fn narrow(&self, parameters: &mut toml::Table) {
+        narrow(parameters, Concern::Sensors);
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
@@ -38,8 +52,12 @@ impl Stage for Calibrate {
         let (model, _) = SourceModel::load(task.input("pretrain")?)?;
         let (encoder, observation) = SparseEncoder::load(task.input("distill")?)?;
         let found = records::read(task.input("records")?, &record_settings, &sensors)?;
+        let instrument = Instrument::of(task)?;
+        let undone: Vec<(Split, Vec<Record>)> =
+            by_event(found.records).into_iter().map(|(split, records)| (split, instrument.undone(&records))).collect();
         let events = |split| -> Vec<Event> {
-            found.select(component, split).map(|r| event(r, card.step_s, &card.normalisation)).collect()
+            let records = undone.iter().filter(|(s, _)| *s == split).flat_map(|(_, records)| records);
+            records.filter(|r| r.component == component).map(|r| event(r, card.step_s, &card.normalisation)).collect()
         };
         let (train, validation) = (events(Split::Train), events(Split::Validation));
         let simulations = match settings.metric {

@@ -1,9 +1,11 @@
-//! Predictions of every recorded event, finite elements beside FLARE-T, and all errors.
+//! Predictions of every recorded event, finite elements beside FLARE-T, and all errors against the records as measured.
 
 use super::artifact::{read_json, write_json, write_table};
+use super::instrument::{Concern, Instrument, by_event, narrow};
 use super::predict::Predictor;
 use super::{records, replay};
 use crate::dataset::Coarse;
+use crate::effects::Channels;
 use crate::error::{Error, Result};
 use crate::manifest::SensorsSection;
 use crate::metrics::{Quartiles, nrmse_percent, psa_ln_rmse, r2, r2_pooled, timewise_error_percent};
@@ -85,6 +87,8 @@ impl Stage for Evaluate {
     fn reads(&self) -> &'static [&'static str] {
         &[
             "sensors",
+            "site.depth_m",
+            "effects",
             "analysis.output_step_s",
             "records.format",
             "records.components",
@@ -94,22 +98,61 @@ impl Stage for Evaluate {
         ]
     }
 
+    fn narrow(&self, parameters: &mut toml::Table) {
+        narrow(parameters, Concern::Sensors);
+    }
+
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let settings: RecordSettings = task.section("records")?;
         let sensors: SensorsSection = task.section("sensors")?;
         let output_step_s: f64 = task.section("analysis.output_step_s")?;
+        let instrument = Instrument::of(task)?;
         let predictors = predictors(task)?;
         let mut evaluation = Evaluation::default();
-        for (split, record) in records::read(task.input("records")?, &settings, &sensors)?.records {
-            let uncalibrated = || Error::new(format!("component `{}` is not calibrated", record.component));
-            let predictor = predictors.get(&record.component).ok_or_else(uncalibrated)?;
-            let replayed = replay::read(task.input("replay")?, &record.event, &record.component)?;
-            let comparison = compare(predictor, &record, replayed, output_step_s);
-            comparison.judge(&record, split, &mut evaluation);
-            comparison.write(task.output_dir(), &record)?;
+        let found = records::read(task.input("records")?, &settings, &sensors)?.records;
+        for (split, event) in by_event(found) {
+            for (record, flare_t) in event.iter().zip(predict(&predictors, &instrument, &event)?) {
+                let replayed = replay::read(task.input("replay")?, &record.event, &record.component)?;
+                let predictor = &predictors[&record.component];
+                let axis = Axis::after(predictor.window(), predictor.step_s());
+                let observed = axis.of_record(record);
+                let fe = replayed.and_then(|h| axis.of_replay(&h, output_step_s, &observed));
+                let comparison = Comparison { axis, observed, fe, flare_t };
+                comparison.judge(record, split, &mut evaluation);
+                comparison.write(task.output_dir(), record)?;
+            }
         }
         write_json(&task.output_dir().join("evaluation.json"), &evaluation)
     }
+}
+
+/// What FLARE-T says the sensors record in the event of `records`, component by component: its predictions of the true
+/// motions from the records undone, as the sensors see them, after the initial window.
+fn predict(
+    predictors: &BTreeMap<String, Predictor>,
+    instrument: &Instrument,
+    records: &[Record],
+) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    let mut motions: Vec<Channels> = vec![Vec::new(); records.first().map_or(0, |r| r.outputs.len()) + 1];
+    let (mut is_predicted, mut window, mut step_s) = (Vec::new(), 0, 0.0);
+    for undone in instrument.undone(records) {
+        let uncalibrated = || Error::new(format!("component `{}` is not calibrated", undone.component));
+        let predictor = predictors.get(&undone.component).ok_or_else(uncalibrated)?;
+        (window, step_s) = (predictor.window(), predictor.step_s());
+        let coarse = Coarse::of_record(&undone, step_s);
+        let mut histories = coarse.sensors();
+        let predicted = predictor.predict(&histories, &coarse.base_m_s2, &coarse.base_half_m_s2).ok();
+        is_predicted.push(predicted.is_some());
+        for (history, predicted) in histories.iter_mut().zip(predicted.into_iter().flatten()) {
+            history.truncate(window);
+            history.extend(predicted);
+        }
+        motions[0].push(coarse.base_m_s2);
+        motions[1..].iter_mut().zip(histories).for_each(|(channels, history)| channels.push(history));
+    }
+    let recorded = instrument.recorded(records, step_s, &motions);
+    let after = |c: usize| recorded[1..].iter().map(|channels| channels[c][window..].to_vec()).collect();
+    Ok(is_predicted.iter().enumerate().map(|(c, known)| known.then(|| after(c))).collect())
 }
 
 /// One predictor a component.
@@ -120,31 +163,9 @@ fn predictors(task: &Task<'_>) -> Result<BTreeMap<String, Predictor>> {
         .collect()
 }
 
-/// Lays finite elements and FLARE-T beside one record.
-fn compare(predictor: &Predictor, record: &Record, replayed: Option<Vec<Vec<f64>>>, output_step_s: f64) -> Comparison {
-    let (window, step_s) = (predictor.window(), predictor.step_s());
-    let coarse = Coarse::of_record(record, step_s);
-    let histories: Vec<Vec<f64>> = (0..coarse.n_sparse)
-        .map(|j| coarse.sparse_m_s2.iter().skip(j).step_by(coarse.n_sparse).copied().collect())
-        .collect();
-    let flare_t = predictor.predict(&histories, &coarse.base_m_s2, &coarse.base_half_m_s2).ok();
-    // The response up to sample `window` − 1 was given; everything after it is predicted.
-    let after = |h: &[f64]| -> Vec<f64> { h.iter().skip(window).copied().collect() };
-    let observed: Vec<Vec<f64>> = histories.iter().map(|h| after(h)).collect();
-    let n = observed.first().map_or(0, Vec::len);
-    let fe = replayed
-        .map(|h| {
-            let coarse = h.iter().map(|x| resample_band_limited(x, output_step_s, step_s));
-            coarse.map(|x| after(&x).into_iter().take(n).collect::<Vec<f64>>()).collect::<Vec<_>>()
-        })
-        .filter(|h| h.iter().all(|x| x.len() == n));
-    Comparison { start_s: window as f64 * step_s, step_s, observed, fe, flare_t }
-}
-
 /// One event and component after the initial window, at the step of the latent model.
 struct Comparison {
-    start_s: f64,
-    step_s: f64,
+    axis: Axis,
     observed: Vec<Vec<f64>>,
     fe: Option<Vec<Vec<f64>>>,
     flare_t: Option<Vec<Vec<f64>>>,
@@ -168,7 +189,7 @@ impl Comparison {
                 split,
                 nrmse_percent: both(&nrmse_percent),
                 r2: both(&r2),
-                psa_ln_rmse: both(&|p, o| psa_ln_rmse(p, o, self.step_s)),
+                psa_ln_rmse: both(&|p, o| psa_ln_rmse(p, o, self.axis.step_s)),
                 timewise_median_percent: both(&|p, o| Quartiles::of(&timewise_error_percent(p, o)).median),
             });
         }
@@ -195,9 +216,14 @@ impl Comparison {
             }
         }
         let columns: Vec<(&str, &[f64])> = columns.iter().map(|(n, c)| (n.as_str(), *c)).collect();
-        write_table(&folder.join(format!("{}.{}.csv", record.event, record.component)), self.step_s, &columns)?;
-        write_json(&folder.join("axis.json"), &Axis { start_s: self.start_s, step_s: self.step_s })
+        write_table(&folder.join(format!("{}.{}.csv", record.event, record.component)), self.axis.step_s, &columns)?;
+        write_json(&folder.join("axis.json"), &self.axis)
     }
+}
+
+/// NRMSE, %, where both histories give a finite one.
+pub fn nrmse(predicted: &[f64], observed: &[f64]) -> Option<f64> {
+    Some(nrmse_percent(predicted, observed)).filter(|v| v.is_finite())
 }
 
 /// Time axis of the tables.
@@ -207,6 +233,31 @@ pub struct Axis {
     pub start_s: f64,
     /// Step, s.
     pub step_s: f64,
+}
+
+impl Axis {
+    /// The axis after `window` samples of the record.
+    fn after(window: usize, step_s: f64) -> Self {
+        Self { start_s: window as f64 * step_s, step_s }
+    }
+
+    /// What of a history at this step lies after the window: the response up to there was given, the rest is predicted.
+    fn cut(&self, history: &[f64]) -> Vec<f64> {
+        history.iter().skip((self.start_s / self.step_s).round() as usize).copied().collect()
+    }
+
+    /// The output sensors of a record on this axis.
+    pub fn of_record(&self, record: &Record) -> Vec<Vec<f64>> {
+        Coarse::of_record(record, self.step_s).sensors().iter().map(|h| self.cut(h)).collect()
+    }
+
+    /// A replay with step `dt_s` on this axis, as long as the record on it; `None` where it ends early.
+    pub fn of_replay(&self, histories: &[Vec<f64>], dt_s: f64, observed: &[Vec<f64>]) -> Option<Vec<Vec<f64>>> {
+        let n = observed.first().map_or(0, Vec::len);
+        let coarse = histories.iter().map(|x| self.cut(&resample_band_limited(x, dt_s, self.step_s)));
+        let coarse: Vec<Vec<f64>> = coarse.map(|x| x.into_iter().take(n).collect()).collect();
+        coarse.iter().all(|x: &Vec<f64>| x.len() == n).then_some(coarse)
+    }
 }
 
 /// Errors and time axis that stage left in `folder`.

@@ -2,18 +2,30 @@
 
 mod artifact;
 mod calibrate;
+mod compare;
+pub mod correct;
 mod dataset;
+mod diagnose;
 mod distill;
 mod evaluate;
+mod instrument;
 mod motions;
+mod null_twins;
+mod other_source;
 pub mod predict;
 mod pretrain;
+mod problem;
 mod records;
 mod replay;
 mod report;
+mod report_closing;
+mod shake;
 mod simulate;
+mod source_study;
+pub mod twins;
 
 pub use evaluate::Evaluation;
+pub use null_twins::read as thresholds;
 
 use crate::pipeline::Stage;
 
@@ -28,5 +40,14 @@ pub const STAGES: &[&dyn Stage] = &[
     &distill::Distill,
     &calibrate::Calibrate,
     &evaluate::Evaluate,
+    &null_twins::NullTwins,
+    &diagnose::Diagnose,
+    &correct::Recalibrate,
+    &correct::Correct,
+    &compare::Compare,
+    &twins::TwinThresholds,
+    &twins::Twins,
+    &other_source::OtherSource,
+    &source_study::SourceStudy,
     &report::Report,
 ];

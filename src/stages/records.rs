@@ -86,8 +86,7 @@ fn section<T: serde::de::DeserializeOwned>(parameters: &Table, name: &str) -> Re
 
 fn twin_records(task: &Task<'_>, settings: &RecordSettings) -> Result<Vec<Record>> {
     let truth = Truth::load(Path::new(settings.truth.as_deref().unwrap_or_default()))?;
-    let sections: ColumnSections =
-        task.parameters().clone().try_into().map_err(|e| Error::new("no column").cause(e))?;
+    let sections = column(task)?;
     let recorder = twin::recorder(&sections, &task.section::<Tolerances>("tolerances")?, &truth)?;
     let events: Vec<&str> = settings.events().map(|(event, _)| event).collect();
     task.progress().start("twin events", events.len() as u64);
@@ -100,6 +99,14 @@ fn twin_records(task: &Task<'_>, settings: &RecordSettings) -> Result<Vec<Record
         })
         .collect::<Result<_>>()?;
     Ok(records.into_iter().flatten().collect())
+}
+
+/// The sections that make the column, of a stage that reads them.
+///
+/// # Errors
+/// When one is missing.
+pub fn column(task: &Task<'_>) -> Result<ColumnSections> {
+    task.parameters().clone().try_into().map_err(|e| Error::new("no column").cause(e))
 }
 
 /// The settings of a stage that may not open the held-out events: their list is empty.

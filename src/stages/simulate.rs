@@ -1,8 +1,10 @@
 //! The ensemble of finite-element columns: one trajectory a base motion, each cached on its own.
 
+use super::instrument::{Concern, narrow};
 use super::motions;
 use crate::column::Column;
 use crate::dataset::{Header, Index, IndexCase, IndexSensor, Outcome, Sample, Sampler, TrajectoryWriter};
+use crate::effects;
 use crate::error::{Error, Result};
 use crate::manifest::ColumnSections;
 use crate::motion::{Motion, MotionSettings, parse_cases};
@@ -40,9 +42,14 @@ impl Stage for Simulate {
         &["name", "site", "law", "effects", "sensors", "analysis", "motions"]
     }
 
+    fn narrow(&self, parameters: &mut Table) {
+        narrow(parameters, Concern::Column);
+    }
+
     fn run(&self, task: &Task<'_>) -> Result<()> {
-        let sections: ColumnSections =
-            task.parameters().clone().try_into().map_err(|e| Error::new("no column").cause(e))?;
+        let mut sections = super::records::column(task)?;
+        let depths_m = sections.sensor_depths_m(&effects::build_all(&sections.effects)?);
+        sections.sensors.output.iter_mut().zip(depths_m).for_each(|(sensor, depth_m)| sensor.depth_m = depth_m);
         let settings: MotionSettings = task.section("motions")?;
         let site: String = task.section("name")?;
         let column = Column::new(&sections.profile()?, &sections.analysis)?;

@@ -5,11 +5,15 @@
 //! azimuths within their tolerances and noise, the input sensor too. The truth file is read here and nowhere else.
 
 mod draw;
+mod matrix;
 mod outside;
 mod simulate;
+mod tally;
 mod truth;
 
 pub use draw::draw;
+pub use matrix::{Case, Cell, Matrix};
 pub use outside::OUTSIDE;
 pub use simulate::{Recorder, record_event, recorder};
+pub use tally::{Four, Outcome, Recovered, Report, Share, Spread, Tally};
 pub use truth::{EventSection, Truth};

@@ -1,0 +1,147 @@
+//! `flare-pipe power`: before any data, which effects an array could reveal and which it would confuse.
+
+use super::SiteArguments;
+use super::workspace::Workspace;
+use crate::diagnosis::{Event, NoiseSpectrum, Power, Problem, Sensitivity, power as assess};
+use crate::effects::Situation;
+use crate::error::{Context, Error, Result};
+use crate::manifest::Site;
+use crate::metrics::rms;
+use crate::motion::{Motion, suite};
+use crate::numerics::resample::resample_band_limited;
+use crate::records::Split;
+use crate::{pipeline, stages};
+use clap::Args;
+
+/// Which site, how noisy its sensors are, and in what form.
+#[derive(Debug, Args)]
+pub struct PowerArguments {
+    #[command(flatten)]
+    site: SiteArguments,
+    /// Noise of every sensor, as a share of the RMS of the base motion
+    #[arg(long, value_name = "SHARE", default_value = "0.03")]
+    noise: f64,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Time step of the assumed records, s.
+const STEP_S: f64 = 0.01;
+/// Events assumed for training and validation where the manifest has no records.
+const EVENTS: [usize; 2] = [8, 3];
+
+/// Prints what the array, its split and the noise could reveal. Base motions of the suite, weak to strong, stand in for the
+/// events; where the pipeline has computed alarm thresholds from null twins, they count.
+///
+/// # Errors
+/// When the manifest is wrong or its column cannot be built.
+pub fn power(arguments: &PowerArguments) -> Result<()> {
+    if !(1e-4..=1.0).contains(&arguments.noise) {
+        return Err(Error::new(format!("`--noise` must be in 0.0001…1, got {}", arguments.noise)).usage());
+    }
+    let workspace = Workspace::open(&arguments.site)?;
+    let site = &workspace.manifest.site;
+    let problem = assumed(site, arguments.noise)?;
+    let folder = pipeline::output(&workspace.site(), &workspace.graph, "null-twins");
+    let thresholds = folder.ok().and_then(|folder| stages::thresholds(&folder).ok());
+    let found = assess(&problem, &site.diagnose, thresholds.as_ref())?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&found).context(|| "cannot write the assessment".into())?);
+    } else {
+        print(&problem, &found);
+    }
+    Ok(())
+}
+
+/// The array with motions of the suite as events, as many as the manifest names, in each component another.
+fn assumed(site: &Site, noise: f64) -> Result<Problem> {
+    let sections = site.column();
+    let (components, counts) = match &site.records {
+        Some(records) => (records.components.clone(), [records.train.len(), records.validation.len()]),
+        None => (vec!["X".to_string()], EVENTS),
+    };
+    let mut motions = suite(&site.motions)?;
+    motions.sort_by(|a, b| a.pga_m_s2().total_cmp(&b.pga_m_s2()));
+    let n_event = counts[0] + counts[1];
+    let names: Vec<String> = (1..=n_event).map(|i| format!("{i:03}")).collect();
+    let is_validation = spread(n_event, counts[1]);
+    let chosen = spread_indices(motions.len(), n_event * components.len());
+    let mut events = Vec::new();
+    for (e, name) in names.iter().enumerate() {
+        for component in 0..components.len() {
+            let motion = &motions[chosen[e * components.len() + component]];
+            let split = if is_validation[e] { Split::Validation } else { Split::Train };
+            let situation = Situation::of(component, name, names.iter().map(String::as_str));
+            events.push(event(name, situation, split, motion, noise, sections.sensors.output.len()));
+        }
+    }
+    Ok(Problem {
+        array: sections.array(&components)?,
+        declared: sections.effects,
+        tolerances: site.tolerances.clone(),
+        events,
+    })
+}
+
+fn event(name: &str, situation: Situation, split: Split, motion: &Motion, noise: f64, n_output: usize) -> Event {
+    let input = resample_band_limited(&motion.acceleration_m_s2, motion.dt_s, STEP_S);
+    let white = NoiseSpectrum::white(noise * rms(&input), STEP_S);
+    Event {
+        name: name.to_string(),
+        situation,
+        split,
+        dt_s: STEP_S,
+        outputs: vec![input.clone(); n_output],
+        input,
+        noise: vec![white; n_output + 1],
+    }
+}
+
+/// `count` of `n` places, evenly spread.
+fn spread_indices(n: usize, count: usize) -> Vec<usize> {
+    (0..count).map(|i| ((i as f64 + 0.5) / count as f64 * n as f64) as usize).map(|i| i.min(n - 1)).collect()
+}
+
+fn spread(n: usize, count: usize) -> Vec<bool> {
+    let chosen = spread_indices(n.max(1), count);
+    (0..n).map(|i| chosen.contains(&i)).collect()
+}
+
+fn print(problem: &Problem, power: &Power) {
+    let n_event = problem.events.len();
+    println!("assumed: {n_event} records at {} output sensors; noise in every sensor", problem.array.outputs.len());
+    println!("{:28} {:22} {:>9} {:>9}  visible  smallest visible", "effect", "best place", "expected", "needed");
+    let mut kinds: Vec<&str> = Vec::new();
+    for effect in &power.effects {
+        if kinds.contains(&effect.kind.as_str()) {
+            continue;
+        }
+        kinds.push(&effect.kind);
+        let Sensitivity { kind, target, expected_score, needed_score, .. } = effect;
+        let visible = if effect.is_visible { "yes" } else { "no" };
+        println!(
+            "{kind:28} {target:22} {expected_score:9.1} {needed_score:9.1}  {visible:7}  {}",
+            match effect.detectable {
+                Some(value) => format!("{} {value:.3} {}", effect.parameter, effect.unit),
+                None if effect.parameter.is_empty() => "–".into(),
+                None => "none up to twice the typical strength".into(),
+            }
+        );
+    }
+    for class in &power.classes {
+        println!("cannot be told apart: {}", class.join(", "));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn motions_are_taken_evenly_and_every_split_gets_its_share() {
+        assert_eq!(spread_indices(100, 4), [12, 37, 62, 87]);
+        assert_eq!(spread(6, 2).iter().filter(|v| **v).count(), 2);
+        assert_eq!(spread_indices(3, 6), [0, 0, 1, 1, 2, 2]);
+    }
+}

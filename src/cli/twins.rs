@@ -1,0 +1,132 @@
+//! `flare-pipe twins`: how well the diagnosis does on twins of a site whose truth is known.
+
+use super::SiteArguments;
+use super::reporter::{Terminal, Verbosity};
+use super::workspace::Workspace;
+use crate::error::{Context, Error, Result};
+use crate::pipeline::{self, Graph, Mode, Options, Recipe, Site};
+use crate::stages::{STAGES, twins as stage};
+use crate::twin::{Matrix, Report, Share, Spread, Tally};
+use clap::Args;
+use std::path::PathBuf;
+use toml::{Table, Value};
+
+/// Which site, what to draw and how.
+#[derive(Debug, Args)]
+pub struct TwinsArguments {
+    #[command(flatten)]
+    site: SiteArguments,
+    /// Matrix file, for example configs/matrix/smoke.toml
+    #[arg(long, value_name = "FILE")]
+    matrix: PathBuf,
+    /// Seed of all draws
+    #[arg(long, value_name = "N")]
+    seed: u32,
+    /// Twins computed at once [default: one a core]
+    #[arg(long, value_name = "N")]
+    jobs: Option<usize>,
+    /// Print everything as JSON instead of tables
+    #[arg(long)]
+    json: bool,
+    /// Say less
+    #[arg(short, long)]
+    quiet: bool,
+}
+
+const RECIPE: &str = "about = 'a matrix of twins'
+[[stage]]
+name = 'twin-thresholds'
+[[stage]]
+name = 'twins'
+inputs = { thresholds = 'twin-thresholds' }
+";
+
+/// Runs the matrix, every twin from the cache that is there, and prints the tally.
+///
+/// # Errors
+/// Usage errors; what the stages cannot do.
+pub fn twins(arguments: &TwinsArguments) -> Result<()> {
+    let workspace = Workspace::open(&arguments.site)?;
+    if workspace.manifest.site.records.is_none() {
+        let what = "the manifest has no `[records]`: which events calibrate, validate and test?";
+        return Err(Error::new(what).usage());
+    }
+    let (matrix, truth) = Matrix::load(&arguments.matrix)?;
+    let text = |e: toml::ser::Error| Error::new("the matrix cannot be written as TOML").cause(e);
+    let section = Table::from_iter([
+        ("matrix".to_string(), Value::try_from(&matrix).map_err(text)?),
+        ("truth".to_string(), Value::try_from(&truth).map_err(text)?),
+        ("seed".to_string(), Value::from(i64::from(arguments.seed))),
+    ]);
+    let mut table = workspace.table.clone();
+    table.insert("twins".into(), Value::Table(section));
+    let graph = Graph::new(&Recipe::parse(RECIPE, "twins")?, STAGES, &table)?;
+    let name = format!("{}-twins", workspace.manifest.site.name);
+    let site = Site { name: &name, manifest: &table, ..workspace.site() };
+    let mut options = Options::default();
+    if let Some(jobs) = arguments.jobs.filter(|n| *n > 0) {
+        options.jobs = jobs;
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global();
+    }
+    let verbosity = if arguments.quiet { Verbosity::Quiet } else { Verbosity::Normal };
+    let summary = pipeline::run(&site, &graph, &options, Mode::Run, &Terminal::new(verbosity))?;
+    if let Some(failure) = summary.failures.into_iter().next() {
+        return Err(failure.error);
+    }
+    let report = stage::read(&pipeline::output(&site, &graph, "twins")?)?;
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&report).context(|| "cannot write the report".into())?);
+    } else {
+        print(&report);
+    }
+    Ok(())
+}
+
+fn print(report: &Report) {
+    for (name, tally) in &report.cells {
+        lines(name, tally);
+    }
+    lines("effects whose error outlives recalibration", &report.surviving);
+    println!("what held → what was said");
+    for (held, answers) in &report.confusion {
+        for (answer, count) in answers {
+            println!("  {held:44} {count:4}  {answer}");
+        }
+    }
+    for (twin, reason) in &report.failed {
+        println!("  {twin} could not be computed: {}", reason.lines().next().unwrap_or_default());
+    }
+}
+
+fn lines(name: &str, tally: &Tally) {
+    let share = |s: &Share| {
+        let percent = |v: f64| 100.0 * v;
+        let [low, high] = s.ci95.map(percent);
+        let value = percent(s.hits as f64 / s.of.max(1) as f64);
+        format!("{:3} of {:3} = {value:5.1} % [{low:.0}, {high:.0}]", s.hits, s.of)
+    };
+    let spread = |s: &Option<Spread>, factor: f64| {
+        s.map_or("–".into(), |s| {
+            format!("median {:.3}, 90 % below {:.3} ({})", factor * s.median, factor * s.q90, s.of)
+        })
+    };
+    println!("{name}");
+    println!("  alarm                {}", share(&tally.alarms));
+    println!("  unknown              {}", share(&tally.unknown));
+    println!("  right name           {}", share(&tally.right));
+    println!("  known, wrong name    {}", share(&tally.wrong));
+    println!("  best of the search   {}", share(&tally.top_1));
+    println!("  among the best three {}", share(&tally.top_3));
+    println!("  interval holds truth {}", share(&tally.coverage));
+    println!("  parameter error      {}", spread(&tally.parameter_error, 1.0));
+    println!("  corrected / floor    {}", spread(&tally.corrected_over_floor, 1.0));
+    let nrmse = &tally.nrmse_percent;
+    let percent = |v: Option<f64>| v.map_or("–".into(), |v| format!("{v:.1} %"));
+    println!(
+        "  held-out NRMSE       declared {}, recalibrated {}, corrected {}, floor {}",
+        percent(nrmse.declared),
+        percent(nrmse.recalibrated),
+        percent(nrmse.corrected),
+        percent(nrmse.floor)
+    );
+}

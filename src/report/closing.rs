@@ -1,0 +1,234 @@
+//! Closing the loop: what the model lacked, what correcting it was worth, and what could still hide.
+
+use maud::{Markup, html};
+
+use super::chart::{self, Axis, Column, Frame};
+use super::closing_content::{Candidate, Change, Closing, ErrorRow, Interval, NamedEffect};
+use super::content::Content;
+use super::figure::{Section, figure, listed};
+use super::{closing_rest, number};
+
+/// Colours of the six predictions, in order.
+const COLORS: [&str; 6] = ["#e8a56b", "#e07b2a", chart::FE, "#7fb3d5", chart::FLARE_T, "#8a8f98"];
+/// Their names below a box.
+const SHORT: [&str; 6] = ["declared", "recalibrated", "corrected", "before", "after", "floor"];
+
+/// The section, if a loop was closed.
+pub(super) fn section(content: &Content) -> Option<Section> {
+    let closing = content.closing.as_ref()?;
+    let body = html! {
+        p.verdict { (verdict(closing)) }
+        @for note in &closing.notes { p { (note) } }
+        @if !closing.effects.is_empty() { (effects(&closing.effects)) }
+        @if closing.ambiguity.len() > 1 { (ambiguity(closing)) }
+        @if !closing.errors.is_empty() { h3 id="loop-errors" { "Errors before and after" } (errors(closing)) }
+        @if !closing.candidates.is_empty() { h3 id="loop-candidates" { "What was tried" } (candidates(&closing.candidates)) }
+        (closing_rest::rest(closing))
+    };
+    let entries = [
+        ("loop-errors", "Errors before and after", !closing.errors.is_empty()),
+        ("loop-candidates", "What was tried", !closing.candidates.is_empty()),
+        ("loop-rest", "What could still hide", closing_rest::is_any(closing)),
+    ];
+    let entries = entries.iter().filter(|e| e.2).map(|e| (e.0.to_string(), e.1.to_string())).collect();
+    Some(Section { id: "loop", title: "Closing the loop".into(), entries, body })
+}
+
+/// One sentence that says no more than is known.
+fn verdict(closing: &Closing) -> String {
+    let named: Vec<String> = closing.effects.iter().map(|e| at(&e.kind, &e.target)).collect();
+    let share =
+        |share: Option<f64>| share.map_or(String::new(), |s| format!(" ({} % of it)", number::fixed(100.0 * s, 0)));
+    match closing.verdict.as_str() {
+        "none" => "Nothing beyond the declared tolerances: the records ask for no further effect.".into(),
+        "known" => format!(
+            "The declared model lacks {}: that explains what recalibration within the tolerances leaves{}.",
+            listed(&named),
+            share(closing.explained_share)
+        ),
+        "ambiguous" => format!(
+            "The declared model lacks something that {} explains{}, and other effects about as well: these records cannot \
+             tell them apart.",
+            listed(&named),
+            share(closing.explained_share)
+        ),
+        _ => format!(
+            "The records hold structure that no named effect explains{}; nothing was corrected.",
+            share(closing.explained_share).replace("of it", "of it is explained by the best")
+        ),
+    }
+}
+
+fn at(kind: &str, target: &str) -> String {
+    if target.is_empty() { words(kind) } else { format!("{} ({target})", words(kind)) }
+}
+
+/// `small_strain_damping` as words.
+pub(super) fn words(kind: &str) -> String {
+    kind.replace('_', " ")
+}
+
+/// A value with its interval: `2.41 [2.2, 2.6] Hz`.
+pub(super) fn interval(interval: &Interval) -> String {
+    let [low, high] = interval.ci95.map(number::significant);
+    let unit = if interval.unit.is_empty() { String::new() } else { format!(" {}", interval.unit) };
+    format!("{} [{low}, {high}]{unit}", number::significant(interval.value))
+}
+
+fn effects(effects: &[NamedEffect]) -> Markup {
+    html! {
+        div.scroll { table {
+            caption { "The effects of the corrected manifest, with 95 % intervals." }
+            thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th { "Parameters" } } }
+            tbody { @for effect in effects {
+                tr {
+                    td { b { (words(&effect.kind)) } @if !effect.about.is_empty() { br; span.soft { (effect.about) } } }
+                    td { @if effect.target.is_empty() { "whole column" } @else { (effect.target) } }
+                    td { (effect.class) }
+                    td { @for (i, (name, value)) in effect.parameters.iter().enumerate() {
+                        @if i > 0 { br; } code { (name) } " " (interval(value))
+                    } }
+                }
+            } }
+        } }
+    }
+}
+
+fn ambiguity(closing: &Closing) -> Markup {
+    html! {
+        p { "These kinds explain the records about equally well. What would tell them apart:" }
+        ul { @for (kind, key) in &closing.ambiguity { li { b { (words(kind)) } @if !key.is_empty() { ": " (key) } } } }
+    }
+}
+
+fn errors(closing: &Closing) -> Markup {
+    let held_out: Vec<&ErrorRow> = closing.errors.iter().filter(|r| r.is_held_out).collect();
+    html! {
+        @if !held_out.is_empty() { (boxes(closing, &held_out)) }
+        @if !closing.changes.is_empty() { (changes(closing)) }
+        (table(closing, &held_out, "held-out events"))
+        @let others: Vec<&ErrorRow> = closing.errors.iter().filter(|r| !r.is_held_out).collect();
+        @if !others.is_empty() {
+            details { summary { "Events that were used for calibration, diagnosis or selection" } (table(closing, &others, "events that were used")) }
+        }
+    }
+}
+
+fn boxes(closing: &Closing, rows: &[&ErrorRow]) -> Markup {
+    let values: Vec<Vec<f64>> = (0..closing.models.len())
+        .map(|i| rows.iter().filter_map(|r| r.nrmse_percent.get(i).copied().flatten()).collect())
+        .collect();
+    let columns: Vec<Column> = values
+        .iter()
+        .zip(SHORT.iter().zip(COLORS))
+        .map(|(values, (label, color))| Column { label, values, color })
+        .collect();
+    let frame = Frame {
+        size: (760.0, 320.0),
+        x: Axis { label: "FE: declared, recalibrated, corrected · FLARE-T: before, after · noise floor", range: (0.0, 7.0), log: false },
+        y: Axis { label: "NRMSE (%)", range: chart::box_range(values.iter().map(Vec::as_slice), 0.0), log: false },
+        alt: "NRMSE over held-out events of six predictions: finite elements as declared, recalibrated and corrected, FLARE-T before and after, noise floor".into(),
+    };
+    let caption = html! {
+        "NRMSE at every sensor of the held-out events. The credit of an effect is the step from recalibrated to corrected, not "
+        "from declared: the first step repairs values that were merely inaccurate. The noise floor is what sensor noise leaves to "
+        "the right model. All errors compare with the records as measured: where a sensor is at fault, part of the error before was "
+        "measurement error."
+    };
+    figure(&chart::boxes(&frame, &columns, None, 0.6, None), &caption)
+}
+
+fn changes(closing: &Closing) -> Markup {
+    let name = |key: &str| key.replace("flare_", "FLARE-T ");
+    let numbers = |c: &Change| {
+        let [low, high] = c.ci95_points.map(|v| number::fixed(v, 1));
+        format!("{} points [{low}, {high}], {} events", number::fixed(c.median_points, 1), c.n_event)
+    };
+    html! {
+        ul {
+            @for change in &closing.changes {
+                li {
+                    (name(&change.from)) " → " (name(&change.to)) ": " (numbers(change)) " – "
+                    @if change.is_improved { b { "improved" } } @else { "no improvement can be claimed" }
+                }
+            }
+            @if let Some(ablation) = closing.ablation_percent {
+                li { "Simulations as declared, calibration alone on the corrected site: median " (number::fixed(ablation, 1)) " %" }
+            }
+        }
+        p.soft { "Median of paired differences with its 95 % interval when events are drawn anew; “improved” only where the whole interval lies below zero." }
+    }
+}
+
+fn table(closing: &Closing, rows: &[&ErrorRow], what: &str) -> Markup {
+    html! {
+        div.scroll { table.scores {
+            caption { "NRMSE (%) on " (what) "." }
+            thead { tr { th { "Event" } th { "Component" } th { "Sensor" } @for model in &closing.models { th.n { (model.name) } } } }
+            tbody { @for (i, row) in rows.iter().enumerate() {
+                tr.new[i > 0 && rows[i - 1].event != row.event] {
+                    td { (row.event) } td { (row.component) } td { (row.sensor) }
+                    @for value in &row.nrmse_percent { td.n { (number::optional(*value, 1)) } }
+                }
+            } }
+            @if rows.first().is_some_and(|r| r.is_held_out) {
+                tfoot { tr { th colspan="3" { "Median [95 %]" } @for model in &closing.models { td.n {
+                    (number::optional(model.median_percent, 1))
+                    @if let Some([low, high]) = model.ci95_percent { br; span.soft { "[" (number::fixed(low, 1)) ", " (number::fixed(high, 1)) "]" } }
+                } } } }
+            }
+        } }
+    }
+}
+
+fn candidates(candidates: &[Candidate]) -> Markup {
+    const SHOWN: usize = 12;
+    html! {
+        div.scroll { table {
+            caption {
+                "Gain: fall of the cost on training and validation events less the charge for the parameters of the effect. "
+                "● confirmed with the nonlinear column, ○ linear search only."
+                @if candidates.len() > SHOWN { " The best " (SHOWN) " of " (candidates.len()) "." }
+            }
+            thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th.n { "Round" } th.n { "Gain" } th.n { "of it on validation" } th.n { "Explains" } th { "" } } }
+            tbody { @for c in candidates.iter().take(SHOWN) {
+                tr {
+                    td { (words(&c.kind)) } td { (c.target) } td { (c.class) } td.n { (c.round) }
+                    td.n { (number::fixed(c.gain, 0)) } td.n { (number::fixed(c.validation_gain, 0)) }
+                    td.n { (number::fixed(100.0 * c.explained_share, 0)) " %" }
+                    td { @if c.is_confirmed { "●" } @else { "○" } }
+                }
+            } }
+        } }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_verdict_says_no_more_than_is_known() {
+        let effect = NamedEffect { kind: "sensor_gain".into(), target: "surface".into(), ..NamedEffect::default() };
+        let says = |verdict: &str, effects: &[NamedEffect], share| {
+            super::verdict(&Closing {
+                verdict: verdict.into(),
+                effects: effects.to_vec(),
+                explained_share: share,
+                ..Closing::default()
+            })
+        };
+        let known = says("known", std::slice::from_ref(&effect), Some(0.934));
+        assert!(known.contains("lacks sensor gain (surface)") && known.contains("93 % of it"), "{known}");
+        assert!(says("none", &[], None).contains("no further effect"));
+        assert!(says("ambiguous", &[effect], None).contains("cannot tell them apart"));
+        let unknown = says("unknown", &[], Some(0.2));
+        assert!(unknown.contains("no named effect") && unknown.contains("nothing was corrected"), "{unknown}");
+    }
+
+    #[test]
+    fn intervals_carry_their_unit_once() {
+        let hertz = Interval { value: 2.4123, unit: "Hz".into(), ci95: [2.2, 2.61] };
+        assert_eq!(interval(&hertz), "2.41 [2.20, 2.61] Hz");
+    }
+}

@@ -1,0 +1,161 @@
+//! What the section "Closing the loop" shows, as plain data.
+
+use serde::{Deserialize, Serialize};
+
+/// The diagnosis, the correction and what they were worth.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Closing {
+    /// `none`, `known`, `ambiguous` or `unknown`.
+    pub verdict: String,
+    /// Effects that were named, in the order they were found.
+    pub effects: Vec<NamedEffect>,
+    /// Kinds that explain the records about as well, each with what would tell it from the others.
+    pub ambiguity: Vec<(String, String)>,
+    /// Effects that were tried, best first.
+    pub candidates: Vec<Candidate>,
+    /// Share of the recalibrated model's excess that the named effects explain.
+    pub explained_share: Option<f64>,
+    /// Share of the recalibrated model's residual that is coherent with the recorded input.
+    pub input_coherent_share: Option<f64>,
+    /// Names of the six predictions, their medians over held-out events and the 95 % intervals of these, in order.
+    pub models: Vec<Model>,
+    /// Errors of the six predictions at each sensor, held-out events first as given.
+    pub errors: Vec<ErrorRow>,
+    /// Median with the simulations as declared and the calibration alone on the corrected site, %.
+    pub ablation_percent: Option<f64>,
+    /// Paired differences over held-out events.
+    pub changes: Vec<Change>,
+    /// Declared values outside their tolerance: what, how many standard deviations, the estimate.
+    pub out_of_tolerance: Vec<(String, f64, Interval)>,
+    /// What could still hide.
+    pub bounds: Vec<Bound>,
+    /// Structure that remains.
+    pub remainder: Option<Remainder>,
+    /// Remarks.
+    pub notes: Vec<String>,
+}
+
+/// A number with its 95 % interval.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Interval {
+    /// Value.
+    pub value: f64,
+    /// Unit; empty where there is none.
+    pub unit: String,
+    /// 95 % interval.
+    pub ci95: [f64; 2],
+}
+
+/// An effect that was named.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NamedEffect {
+    /// Name of the effect.
+    pub kind: String,
+    /// What it is, in a line.
+    pub about: String,
+    /// Where it sits; empty for the whole column.
+    pub target: String,
+    /// `soil`, `boundary` or `sensor`.
+    pub class: String,
+    /// Its parameters.
+    pub parameters: Vec<(String, Interval)>,
+}
+
+/// An effect that was tried.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Candidate {
+    /// Name of the effect.
+    pub kind: String,
+    /// Where it would sit.
+    pub target: String,
+    /// `soil`, `boundary` or `sensor`.
+    pub class: String,
+    /// Round of the search, from 1.
+    pub round: usize,
+    /// Fall of the cost less the charge for its parameters.
+    pub gain: f64,
+    /// Fall of the cost on validation events alone.
+    pub validation_gain: f64,
+    /// Share of the excess it explains.
+    pub explained_share: f64,
+    /// Whether the nonlinear column confirmed it.
+    pub is_confirmed: bool,
+}
+
+/// One of the six predictions.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Model {
+    /// For people: `FE declared`.
+    pub name: String,
+    /// Median NRMSE over held-out events, %.
+    pub median_percent: Option<f64>,
+    /// Its 95 % interval over events.
+    pub ci95_percent: Option<[f64; 2]>,
+}
+
+/// Errors at one sensor of one event and component, in the order of the models.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ErrorRow {
+    /// Event.
+    pub event: String,
+    /// Component.
+    pub component: String,
+    /// Sensor.
+    pub sensor: String,
+    /// Whether nothing was chosen by this event.
+    pub is_held_out: bool,
+    /// NRMSE, %.
+    pub nrmse_percent: Vec<Option<f64>>,
+}
+
+/// A paired difference of two predictions.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Change {
+    /// The prediction compared with.
+    pub from: String,
+    /// The prediction that should be better.
+    pub to: String,
+    /// Median difference, percentage points; negative is better.
+    pub median_points: f64,
+    /// Its 95 % interval over events.
+    pub ci95_points: [f64; 2],
+    /// Whether the interval lies below zero.
+    pub is_improved: bool,
+    /// Events behind it.
+    pub n_event: usize,
+}
+
+/// The largest strength of an effect that the records leave open.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Bound {
+    /// Name of the effect.
+    pub kind: String,
+    /// Where it would sit.
+    pub target: String,
+    /// Parameter that is bounded.
+    pub parameter: String,
+    /// The bound.
+    pub value: f64,
+    /// Its unit.
+    pub unit: String,
+}
+
+/// Mean squared residual over what noise explains: 1 where only noise is left.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Remainder {
+    /// Edges of the frequency bands, Hz.
+    pub edges_hz: Vec<f64>,
+    /// Levels of each sensor, one a band.
+    pub sensors: Vec<(String, Vec<f64>)>,
+    /// Record, peak input acceleration (g) and level.
+    pub events: Vec<(String, f64, f64)>,
+}

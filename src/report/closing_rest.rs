@@ -1,0 +1,129 @@
+//! The end of the loop: declared values out of tolerance, what could still hide, and what structure remains.
+
+use maud::{Markup, html};
+
+use kuva::plot::scatter::MarkerShape;
+
+use super::chart::{self, Axis, Curve, Dots, Frame, Marks};
+use super::closing::{interval, words};
+use super::closing_content::{Bound, Closing, Interval, Remainder};
+use super::figure::{Key, figure, legend};
+use super::number;
+
+/// Whether there is anything to say.
+pub(super) fn is_any(closing: &Closing) -> bool {
+    !closing.bounds.is_empty()
+        || !closing.out_of_tolerance.is_empty()
+        || closing.remainder.is_some()
+        || closing.input_coherent_share.is_some()
+}
+
+/// The subsection.
+pub(super) fn rest(closing: &Closing) -> Markup {
+    if !is_any(closing) {
+        return html! {};
+    }
+    html! {
+        h3 id="loop-rest" { "What could still hide" }
+        @if let Some(share) = closing.input_coherent_share {
+            p { "Of the residual of the recalibrated model " b { (number::fixed(100.0 * share, 0)) " %" }
+                " is coherent with the recorded input: that much a better model of the site could explain, the rest is noise or has another source." }
+        }
+        @if !closing.out_of_tolerance.is_empty() { (tolerance(&closing.out_of_tolerance)) }
+        @if !closing.bounds.is_empty() { (bounds(&closing.bounds)) }
+        @if let Some(remainder) = &closing.remainder { (structure(remainder)) }
+    }
+}
+
+fn tolerance(alarms: &[(String, f64, Interval)]) -> Markup {
+    html! {
+        p { "Declared values that the records put outside their tolerance:" }
+        ul { @for (what, deviations, estimate) in alarms {
+            li { (what) ": " (interval(estimate)) ", " (number::fixed(*deviations, 1)) " standard deviations from the declared value" }
+        } }
+    }
+}
+
+fn bounds(bounds: &[Bound]) -> Markup {
+    html! {
+        details open[bounds.len() <= 14] {
+            summary { "Upper bounds: what of each effect the records leave open" }
+            div.scroll { table {
+                caption { "No effect of this strength or more is compatible with the records at 95 %; a weaker one could hide." }
+                thead { tr { th { "Effect" } th { "Where" } th { "Parameter" } th.n { "Bound" } } }
+                tbody { @for bound in bounds {
+                    tr { td { (words(&bound.kind)) } td { (bound.target) } td { code { (bound.parameter) } }
+                         td.n { (number::significant(bound.value)) " " (bound.unit) } }
+                } }
+            } }
+        }
+    }
+}
+
+fn structure(remainder: &Remainder) -> Markup {
+    html! {
+        @if remainder.edges_hz.len() > 1 { (by_frequency(remainder)) }
+        @if !remainder.events.is_empty() { (by_event(remainder)) }
+    }
+}
+
+/// From well below one to above the largest.
+fn level_range(levels: impl Iterator<Item = f64>) -> (f64, f64) {
+    let top = levels.filter(|v| v.is_finite()).fold(2.0, f64::max);
+    (0.3, top * 1.5)
+}
+
+fn by_frequency(remainder: &Remainder) -> Markup {
+    let (first, last) = (remainder.edges_hz[0], remainder.edges_hz[remainder.edges_hz.len() - 1]);
+    let mut curves = vec![level_one(first, last)];
+    let mut keys = Vec::new();
+    for (i, (sensor, levels)) in remainder.sensors.iter().enumerate() {
+        let color = chart::SERIES[i % chart::SERIES.len()];
+        let dash = [None, Some("5 2"), Some("2 2")][i / chart::SERIES.len() % 3];
+        let steps = levels.iter().zip(remainder.edges_hz.windows(2));
+        let points = steps.flat_map(|(level, edges)| [(edges[0], *level), (edges[1], *level)]).collect();
+        curves.push(Curve { points, color, width: 1.8, dash });
+        keys.push(Key { name: sensor, color, dash });
+    }
+    let frame = Frame {
+        size: (760.0, 260.0),
+        x: Axis { label: "Frequency (Hz)", range: (first, last), log: false },
+        y: Axis {
+            label: "Level (1 = noise)",
+            range: level_range(remainder.sensors.iter().flat_map(|s| s.1.iter().copied())),
+            log: true,
+        },
+        alt: "Mean squared whitened residual over frequency, one curve a sensor; one is noise".into(),
+    };
+    let picture = html! { (legend(&keys)) (chart::curves(&frame, &curves, Marks::default())) };
+    figure(
+        &picture,
+        &html! { "Structure that remains after the correction, by frequency: mean squared residual over what noise explains. Near 1 only noise is left." },
+    )
+}
+
+fn level_one(first: f64, last: f64) -> Curve {
+    Curve { points: vec![(first, 1.0), (last, 1.0)], color: "#5f6670", width: 1.0, dash: Some("4 3") }
+}
+
+fn by_event(remainder: &Remainder) -> Markup {
+    let points: Vec<(f64, f64)> =
+        remainder.events.iter().map(|(_, pga, level)| (*pga, *level)).filter(|p| p.0 > 0.0 && p.1 > 0.0).collect();
+    if points.is_empty() {
+        return html! {};
+    }
+    let (low, high) = points.iter().fold((f64::INFINITY, 0.0f64), |(a, b), p| (a.min(p.0), b.max(p.0)));
+    let range = (low / 1.3, high * 1.3);
+    let frame = Frame {
+        size: (460.0, 260.0),
+        x: Axis { label: "Peak input acceleration (g)", range, log: true },
+        y: Axis { label: "Level (1 = noise)", range: level_range(points.iter().map(|p| p.1)), log: true },
+        alt: "Mean squared whitened residual of each record over its peak input acceleration".into(),
+    };
+    let cloud = Dots { points, color: chart::NEUTRAL, shape: MarkerShape::Circle };
+    let picture = chart::dots(&frame, &[cloud], &[level_one(range.0, range.1)]);
+    figure(
+        &picture,
+        &html! { "The same record by record, over the strength of the motion: a trend would speak of nonlinearity." },
+    )
+}

@@ -1,0 +1,133 @@
+//! What a diagnosis may look at: the array as declared and the records of training and validation events. The names of
+//! held-out events count for the order of the array's history; their records are not opened.
+
+use super::instrument::{Instrument, by_event};
+use super::records;
+use super::replay::{base_motions, replayed};
+use super::shake::{Response, shake};
+use crate::diagnosis::{self, Event, Problem, Replay};
+use crate::effects::Situation;
+use crate::error::{Error, Result};
+use crate::manifest::{ColumnSections, Tolerances};
+use crate::numerics::resample::resample_band_limited;
+use crate::pipeline::Task;
+use crate::records::{Record, RecordSettings, Split};
+use toml::Table;
+
+/// Sections that [`Bench::of`] needs of the stage that asks.
+pub const READS: &[&str] = &[
+    "site",
+    "law",
+    "effects",
+    "sensors",
+    "analysis",
+    "tolerances",
+    "diagnose",
+    "records.format",
+    "records.components",
+    "records.train",
+    "records.validation",
+    "records.test",
+];
+
+/// The problem with what it takes to replay its events.
+pub struct Bench<'a> {
+    /// Where replays are cached; without one they are computed every time.
+    task: Option<&'a Task<'a>>,
+    sections: ColumnSections,
+    settings: RecordSettings,
+    events: Vec<Vec<Record>>,
+    /// What is known and what is to be explained.
+    pub problem: Problem,
+}
+
+impl<'a> Bench<'a> {
+    /// The problem of a stage that reads [`READS`] and has an input `records`.
+    ///
+    /// # Errors
+    /// When a section is missing or a record cannot be read.
+    pub fn of(task: &'a Task<'a>) -> Result<Self> {
+        let sections = records::column(task)?;
+        let settings: RecordSettings = task.section("records")?;
+        let opened = records::settings_without_test(task)?;
+        let found = by_event(records::read(task.input("records")?, &opened, &sections.sensors)?.records);
+        Self::new(Some(task), sections, task.section("tolerances")?, settings, found)
+    }
+
+    /// The problem that `events` of the array of `sections` pose; `settings` name its whole history.
+    ///
+    /// # Errors
+    /// When the declared column cannot be built.
+    pub fn new(
+        task: Option<&'a Task<'a>>,
+        sections: ColumnSections,
+        tolerances: Tolerances,
+        settings: RecordSettings,
+        events: Vec<(Split, Vec<Record>)>,
+    ) -> Result<Self> {
+        let problem = problem(&sections, tolerances, &settings, &events)?;
+        let events = events.into_iter().map(|(_, records)| records).collect();
+        Ok(Self { task, sections, settings, events, problem })
+    }
+
+    /// What the array would record of the replays under `effects` on top of the manifest's, event by event and component by
+    /// component at the output step of the analysis.
+    ///
+    /// # Errors
+    /// As [`Replay::replay`].
+    pub fn recorded(&self, effects: &[Table], events: &[Vec<Record>]) -> Result<Vec<Response>> {
+        let tables: Vec<Table> = self.sections.effects.iter().chain(effects).cloned().collect();
+        let instrument = Instrument::new(&self.sections.sensors, self.sections.site.depth_m, &tables)?;
+        replayed(self.task, &self.sections, &instrument, &self.settings, events)
+    }
+}
+
+fn problem(
+    sections: &ColumnSections,
+    tolerances: Tolerances,
+    settings: &RecordSettings,
+    events: &[(Split, Vec<Record>)],
+) -> Result<Problem> {
+    let event = |split: Split, record: &Record| {
+        let component = settings.components.iter().position(|c| *c == record.component).unwrap_or(0);
+        Event {
+            name: record.event.clone(),
+            situation: Situation::of(component, &record.event, settings.events().map(|(event, _)| event)),
+            split,
+            dt_s: record.dt_s,
+            input: record.input.acceleration_m_s2.clone(),
+            outputs: record.outputs.iter().map(|s| s.acceleration_m_s2.clone()).collect(),
+            noise: diagnosis::noise(record),
+        }
+    };
+    Ok(Problem {
+        array: sections.array(&settings.components)?,
+        declared: sections.effects.clone(),
+        tolerances,
+        events: events.iter().flat_map(|(split, records)| records.iter().map(|r| event(*split, r))).collect(),
+    })
+}
+
+impl Replay for Bench<'_> {
+    fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        let tables: Vec<Table> = self.sections.effects.iter().chain(effects).cloned().collect();
+        let instrument = Instrument::new(&self.sections.sensors, self.sections.site.depth_m, &tables)?;
+        let undone: Vec<Vec<Record>> = self.events.iter().map(|records| instrument.undone(records)).collect();
+        let motions = base_motions(&undone, &self.settings);
+        let shaken = shake(self.task, &self.sections, instrument.effects(), &motions)?;
+        if shaken.iter().all(Result::is_err) {
+            let reason = shaken.into_iter().find_map(Result::err).unwrap_or_default();
+            return Err(Error::new("the column finished in no event").cause(reason));
+        }
+        let step_s = self.sections.analysis.output_step_s;
+        let at_records = |(record, response): (&Record, Response)| {
+            let fitted = |history: &Vec<f64>| {
+                let mut history = resample_band_limited(history, step_s, record.dt_s);
+                history.resize(record.n_step(), 0.0);
+                history
+            };
+            Some(response.ok()?.iter().map(fitted).collect())
+        };
+        Ok(undone.iter().flatten().zip(shaken).map(at_records).collect())
+    }
+}

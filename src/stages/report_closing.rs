@@ -1,0 +1,146 @@
+//! From a diagnosis and a comparison to the report's section on closing the loop.
+
+use super::{compare, diagnose};
+use crate::diagnosis::{Diagnosis, Estimate, Six, Verdict};
+use crate::effects::{self, Class};
+use crate::error::Result;
+use crate::pipeline::Task;
+use crate::records::Split;
+use crate::report::content::{Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder};
+use crate::units::G_M_S2;
+
+/// The section's content, where the pipeline closes the loop.
+///
+/// # Errors
+/// When an output cannot be read.
+pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
+    if !(task.has_input("diagnose") && task.has_input("compare")) {
+        return Ok(None);
+    }
+    let diagnosis = diagnose::read(task.input("diagnose")?)?;
+    let found = compare::read(task.input("compare")?)?;
+    let summary = &found.summary;
+    let medians = list(&summary.test_median_nrmse_percent);
+    let intervals = list(&summary.test_ci95_nrmse_percent);
+    let models = NAMES.iter().zip(medians.into_iter().zip(intervals));
+    let errors = found.errors.iter().map(|row| ErrorRow {
+        event: row.event.clone(),
+        component: row.component.clone(),
+        sensor: row.sensor.clone(),
+        is_held_out: row.split == Split::Test,
+        nrmse_percent: list(&row.nrmse_percent),
+    });
+    let changes = summary.changes.iter().map(|c| Change {
+        from: c.from.clone(),
+        to: c.to.clone(),
+        median_points: c.median_points,
+        ci95_points: c.ci95_points,
+        is_improved: c.is_improved,
+        n_event: c.n_event,
+    });
+    let alarms = diagnosis.tolerance_alarms.iter();
+    Ok(Some(Closing {
+        verdict: word(diagnosis.verdict).into(),
+        effects: named(&diagnosis),
+        ambiguity: diagnosis.ambiguity.iter().map(|kind| (kind.clone(), key(kind))).collect(),
+        candidates: candidates(&diagnosis),
+        explained_share: diagnosis.explained_share,
+        input_coherent_share: diagnosis.input_coherent_share,
+        models: models
+            .map(|(name, (median_percent, ci95_percent))| Model { name: (*name).into(), median_percent, ci95_percent })
+            .collect(),
+        errors: errors.collect(),
+        ablation_percent: summary.test_median_ablation_percent,
+        changes: changes.collect(),
+        out_of_tolerance: alarms.map(|a| (a.what.clone(), a.deviations, interval(&a.estimate))).collect(),
+        bounds: bounds(&diagnosis),
+        remainder: remainder(&diagnosis),
+        notes: diagnosis.notes,
+    }))
+}
+
+const NAMES: [&str; 6] =
+    ["FE declared", "FE recalibrated", "FE corrected", "FLARE-T before", "FLARE-T after", "Noise floor"];
+
+fn list<T: Copy>(six: &Six<T>) -> Vec<T> {
+    six.named().iter().map(|(_, value)| **value).collect()
+}
+
+fn word(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::None => "none",
+        Verdict::Known => "known",
+        Verdict::Ambiguous => "ambiguous",
+        Verdict::Unknown => "unknown",
+    }
+}
+
+fn class(class: Class) -> String {
+    match class {
+        Class::Soil => "soil",
+        Class::Boundary => "boundary",
+        Class::Sensor => "sensor",
+    }
+    .into()
+}
+
+fn about(kind: &str) -> String {
+    effects::find(kind).map_or(String::new(), |entry| entry.about.into())
+}
+
+fn key(kind: &str) -> String {
+    effects::find(kind).map_or(String::new(), |entry| entry.catalogue.key.into())
+}
+
+fn interval(estimate: &Estimate) -> Interval {
+    Interval { value: estimate.value, unit: estimate.unit.clone(), ci95: estimate.ci95 }
+}
+
+fn named(diagnosis: &Diagnosis) -> Vec<NamedEffect> {
+    let effect = |e: &crate::diagnosis::Found| NamedEffect {
+        kind: e.kind.clone(),
+        about: about(&e.kind),
+        target: e.target.clone(),
+        class: class(e.class),
+        parameters: e.parameters.iter().map(|(name, estimate)| (name.clone(), interval(estimate))).collect(),
+    };
+    diagnosis.effects.iter().map(effect).collect()
+}
+
+fn candidates(diagnosis: &Diagnosis) -> Vec<Candidate> {
+    let candidate = |c: &crate::diagnosis::Candidate| Candidate {
+        kind: c.kind.clone(),
+        target: c.target.clone(),
+        class: class(c.class),
+        round: c.round,
+        gain: c.gain,
+        validation_gain: c.validation_gain,
+        explained_share: c.explained_share,
+        is_confirmed: c.is_confirmed,
+    };
+    diagnosis.candidates.iter().map(candidate).collect()
+}
+
+fn bounds(diagnosis: &Diagnosis) -> Vec<Bound> {
+    let bound = |b: &crate::diagnosis::UpperBound| Bound {
+        kind: b.kind.clone(),
+        target: b.target.clone(),
+        parameter: b.parameter.clone(),
+        value: b.value,
+        unit: b.unit.clone(),
+    };
+    diagnosis.upper_bounds.iter().map(bound).collect()
+}
+
+fn remainder(diagnosis: &Diagnosis) -> Option<Remainder> {
+    let left = &diagnosis.remainder;
+    (!left.event.is_empty()).then(|| Remainder {
+        edges_hz: left.edges_hz.clone(),
+        sensors: left.sensor_band.iter().map(|(name, levels)| (name.clone(), levels.clone())).collect(),
+        events: left
+            .event
+            .iter()
+            .map(|e| (format!("{} {}", e.event, e.component), e.input_pga_m_s2 / G_M_S2, e.level))
+            .collect(),
+    })
+}

@@ -1,0 +1,165 @@
+//! Many twins of one array: truths drawn at random over effect, place, size, tolerances and noise.
+
+use super::{Truth, draw};
+use crate::effects::{self, Array, Instance};
+use crate::error::{Context, Error, Result};
+use crate::numerics::random;
+use rand::seq::SliceRandom;
+use rand::{Rng, RngExt};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use toml::Table;
+
+/// A matrix file: what is drawn, cell by cell.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Matrix {
+    /// A sentence about this matrix.
+    #[serde(default)]
+    pub about: String,
+    /// Truth file, relative to this one, whose events, mesh and time step every twin takes; its own effects play no part.
+    pub truth: String,
+    /// Range of the noise, as a share of each channel's RMS.
+    #[serde(default = "default_noise")]
+    pub noise_rms_share: [f64; 2],
+    /// Cells.
+    pub cell: Vec<Cell>,
+}
+
+fn default_noise() -> [f64; 2] {
+    [0.02, 0.04]
+}
+
+/// Twins of one kind.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Cell {
+    /// Name, for the tables.
+    pub name: String,
+    /// Twins.
+    pub count: usize,
+    /// Effects of the catalogue in each twin, of different kinds.
+    #[serde(default)]
+    pub effects: usize,
+    /// Kinds to draw from; all that fit the array, if not given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub kinds: Vec<String>,
+    /// Tables of `[[outside]]`, one to a twin in turn: what no effect of the catalogue describes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
+    pub outside: Vec<Table>,
+}
+
+/// One twin to be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Case {
+    /// Its cell.
+    pub cell: String,
+    /// Number within the cell, from 1.
+    pub number: usize,
+    /// What holds.
+    pub truth: Truth,
+}
+
+impl Matrix {
+    /// Reads a matrix file, and the truth file it starts from.
+    ///
+    /// # Errors
+    /// When either cannot be read or holds something else.
+    pub fn load(path: &Path) -> Result<(Self, Truth)> {
+        let place = || format!("`{}`", path.display());
+        let text =
+            std::fs::read_to_string(path).context(|| format!("cannot read {}", place())).map_err(Error::usage)?;
+        let matrix: Self =
+            toml::from_str(&text).map_err(|e| Error::new(e.to_string().trim().to_string()).at(place()).usage())?;
+        if let Some(cell) = matrix.cell.iter().find(|c| c.count == 0 || c.effects > 3) {
+            let what = "`count` must be at least 1 and `effects` at most 3";
+            return Err(Error::new(what).at(format!("cell `{}`", cell.name)).at(place()).usage());
+        }
+        let truth = Truth::load(&path.parent().unwrap_or(Path::new(".")).join(&matrix.truth))?;
+        Ok((matrix, truth))
+    }
+
+    /// All twins under `seed`, each with draws of its own that no other twin changes.
+    ///
+    /// # Errors
+    /// When a kind is unknown or none fits the array.
+    pub fn cases(&self, truth: &Truth, array: &Array, seed: u64) -> Result<Vec<Case>> {
+        let mut cases = Vec::new();
+        for cell in &self.cell {
+            let kinds = cell.fitting(array).map_err(|e| e.at(format!("cell `{}`", cell.name)))?;
+            for number in 1..=cell.count {
+                let mut random = random::stream(seed, &format!("twin {} {number}", cell.name));
+                let truth = Truth {
+                    // A TOML integer has 63 bits.
+                    seed: random.random::<u64>() >> 1,
+                    noise: self.noise(&mut random),
+                    effects: cell.draw(&kinds, number, &mut random),
+                    outside: cell.outside.get((number - 1) % cell.outside.len().max(1)).cloned().into_iter().collect(),
+                    ..truth.clone()
+                };
+                cases.push(Case { cell: cell.name.clone(), number, truth });
+            }
+        }
+        Ok(cases)
+    }
+
+    /// A twin that lacks nothing, for the alarm thresholds of its array.
+    pub fn template(&self, truth: &Truth, seed: u64) -> Truth {
+        let mut random = random::stream(seed, "twin template");
+        let [low, high] = self.noise_rms_share;
+        let noise = crate::records::Noise { rms_share: 0.5 * (low + high), ..Default::default() };
+        Truth { seed: random.random::<u64>() >> 1, noise, effects: Vec::new(), outside: Vec::new(), ..truth.clone() }
+    }
+
+    fn noise(&self, random: &mut impl Rng) -> crate::records::Noise {
+        let [low, high] = self.noise_rms_share;
+        crate::records::Noise { rms_share: low + (high - low) * random.random::<f64>(), ..Default::default() }
+    }
+}
+
+impl Cell {
+    /// The places of each kind to draw from.
+    fn fitting(&self, array: &Array) -> Result<Vec<Vec<Instance>>> {
+        if self.effects == 0 {
+            return Ok(Vec::new());
+        }
+        for kind in &self.kinds {
+            effects::find(kind)?;
+        }
+        let is_wanted = |name: &str| self.kinds.is_empty() || self.kinds.iter().any(|k| k == name);
+        let places: Vec<Vec<Instance>> = effects::EFFECTS
+            .iter()
+            .filter(|entry| is_wanted(entry.name))
+            .map(|entry| (entry.catalogue.instances)(array))
+            .filter(|places| !places.is_empty())
+            .collect();
+        if places.len() < self.effects {
+            let what = format!("{} kinds of effects fit the array, {} are asked for", places.len(), self.effects);
+            return Err(Error::new(what).usage());
+        }
+        Ok(places)
+    }
+
+    /// Kinds in turn, so that each comes about equally often; further ones, places and sizes at random.
+    fn draw(&self, kinds: &[Vec<Instance>], number: usize, random: &mut impl Rng) -> Vec<Table> {
+        if kinds.is_empty() {
+            return Vec::new();
+        }
+        let first = (number - 1) % kinds.len();
+        let mut others: Vec<usize> = (0..kinds.len()).filter(|k| *k != first).collect();
+        others.shuffle(random);
+        let chosen = std::iter::once(first).chain(others).take(self.effects);
+        chosen.map(|k| kinds[k][random.random_range(0..kinds[k].len())].draw(random)).collect()
+    }
+}
+
+impl Case {
+    /// Everything that moves this twin from the declared model: drawn tolerances, then effects.
+    pub fn tables(&self, array: &Array, tolerances: &crate::manifest::Tolerances) -> Vec<Table> {
+        let mut tables = draw(array, tolerances, self.truth.seed);
+        tables.extend(self.truth.effects.clone());
+        tables
+    }
+}

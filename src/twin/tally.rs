@@ -1,0 +1,308 @@
+//! What came of many twins: how often the right name was found, how often a wrong one, and what correcting was worth.
+
+use crate::diagnosis::Verdict;
+use crate::metrics::{median, quantile};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What a diagnosis made of one twin.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Outcome {
+    /// Its cell.
+    pub cell: String,
+    /// Number within the cell.
+    pub number: usize,
+    /// What held, as `[[effects]]`.
+    pub truth: Vec<toml::Table>,
+    /// What held outside the catalogue.
+    pub outside: Vec<String>,
+    /// The answer.
+    pub verdict: Verdict,
+    /// Effects that were named.
+    pub found: Vec<toml::Table>,
+    /// Kinds that explain the records about as well.
+    pub ambiguity: Vec<String>,
+    /// Kinds of the first round, best first.
+    pub ranked: Vec<String>,
+    /// Gain of the best candidate.
+    pub gain: f64,
+    /// Share of the excess that was explained.
+    pub explained_share: Option<f64>,
+    /// Parameters of rightly named effects.
+    pub parameters: Vec<Recovered>,
+    /// Median NRMSE over the held-out events, %.
+    pub nrmse_percent: Four,
+    /// Wall time of the diagnosis, s.
+    #[serde(skip)]
+    pub seconds: f64,
+}
+
+/// A parameter of a rightly named effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Recovered {
+    /// Kind and name: `sensor_gain.ln_gain`.
+    pub name: String,
+    /// What held.
+    pub truth: f64,
+    /// What was found.
+    pub value: f64,
+    /// Its 95 % interval.
+    pub ci95: [f64; 2],
+}
+
+/// Errors of the models of a twin; `None` where there is none.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct Four {
+    /// As declared.
+    pub declared: Option<f64>,
+    /// Recalibrated within the tolerances.
+    pub recalibrated: Option<f64>,
+    /// Corrected.
+    pub corrected: Option<f64>,
+    /// By what really holds, driven by the recorded input.
+    pub floor: Option<f64>,
+}
+
+/// A share with its 95 % interval after Wilson.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Share {
+    /// How many.
+    pub hits: usize,
+    /// Of how many.
+    pub of: usize,
+    /// 95 % interval of the share.
+    pub ci95: [f64; 2],
+}
+
+/// Middle and 90 % quantile of a sample.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Spread {
+    /// Median.
+    pub median: f64,
+    /// 90 % of the sample lie below.
+    pub q90: f64,
+    /// Size of the sample.
+    pub of: usize,
+}
+
+/// The figures of one group of twins.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Tally {
+    /// Twins with an answer other than `none`.
+    pub alarms: Share,
+    /// Twins called unknown.
+    pub unknown: Share,
+    /// Twins whose effects were all named and nothing else (ambiguous ones where the right kind is among those listed).
+    pub right: Share,
+    /// Twins called known with a name that does not hold.
+    pub wrong: Share,
+    /// Twins whose first effect is the best candidate of the search, whatever was announced.
+    pub top_1: Share,
+    /// Twins whose first effect is among the best three kinds.
+    pub top_3: Share,
+    /// Intervals that hold the truth.
+    pub coverage: Share,
+    /// Relative error of parameters, share.
+    pub parameter_error: Option<Spread>,
+    /// Error of the corrected model over that of the truth itself.
+    pub corrected_over_floor: Option<Spread>,
+    /// Medians of the errors, %.
+    pub nrmse_percent: Four,
+}
+
+/// `twins.json`: tallies by cell, of the twins whose error outlives recalibration, and every outcome.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// Seed of the matrix.
+    pub seed: u64,
+    /// Tally of each cell.
+    pub cells: BTreeMap<String, Tally>,
+    /// Twins with effects whose recalibrated error exceeds the floor by more than 15 %.
+    pub surviving: Tally,
+    /// What held (first effect, thing outside, or `nothing`) → answer → twins.
+    pub confusion: BTreeMap<String, BTreeMap<String, usize>>,
+    /// Twins that could not be computed: name and reason.
+    pub failed: Vec<(String, String)>,
+    /// Every twin.
+    pub outcomes: Vec<Outcome>,
+}
+
+/// Error of the recalibrated model, over the floor, from which an effect outlives recalibration.
+const SURVIVES: f64 = 1.15;
+
+impl Report {
+    /// The report of `outcomes`.
+    pub fn new(seed: u64, outcomes: Vec<Outcome>, failed: Vec<(String, String)>) -> Self {
+        let mut cells: BTreeMap<String, Vec<&Outcome>> = BTreeMap::new();
+        let mut confusion: BTreeMap<String, BTreeMap<String, usize>> = BTreeMap::new();
+        for outcome in &outcomes {
+            cells.entry(outcome.cell.clone()).or_default().push(outcome);
+            *confusion.entry(outcome.held()).or_default().entry(outcome.answer()).or_default() += 1;
+        }
+        let surviving: Vec<&Outcome> = outcomes.iter().filter(|o| o.survives()).collect();
+        let cells = cells.into_iter().map(|(name, group)| (name, Tally::of(&group))).collect();
+        Self { seed, cells, surviving: Tally::of(&surviving), confusion, failed, outcomes }
+    }
+}
+
+impl Outcome {
+    fn kinds(tables: &[toml::Table]) -> Vec<&str> {
+        tables.iter().filter_map(|t| t.get("kind")?.as_str()).collect()
+    }
+
+    fn held(&self) -> String {
+        let kinds = Self::kinds(&self.truth);
+        match (kinds.is_empty(), self.outside.is_empty()) {
+            (false, _) => kinds.join(" + "),
+            (true, false) => format!("outside: {}", self.outside.join(" + ")),
+            (true, true) => "nothing".into(),
+        }
+    }
+
+    fn answer(&self) -> String {
+        match self.verdict {
+            Verdict::None => "none".into(),
+            Verdict::Unknown => "unknown".into(),
+            Verdict::Known => Self::kinds(&self.found).join(" + "),
+            Verdict::Ambiguous => format!("ambiguous: {}", self.ambiguity.join(" | ")),
+        }
+    }
+
+    fn survives(&self) -> bool {
+        let Four { recalibrated: Some(recalibrated), floor: Some(floor), .. } = self.nrmse_percent else {
+            return false;
+        };
+        !self.truth.is_empty() && recalibrated > SURVIVES * floor
+    }
+
+    fn is_right(&self) -> bool {
+        let (held, found) = (Self::kinds(&self.truth), Self::kinds(&self.found));
+        let named = |kind: &&str| found.contains(kind) || self.ambiguity.iter().any(|k| k == kind);
+        matches!(self.verdict, Verdict::Known | Verdict::Ambiguous)
+            && !held.is_empty()
+            && held.iter().all(named)
+            && (self.verdict == Verdict::Ambiguous || found.iter().all(|kind| held.contains(kind)))
+    }
+
+    fn is_wrong(&self) -> bool {
+        let held = Self::kinds(&self.truth);
+        self.verdict == Verdict::Known && Self::kinds(&self.found).iter().any(|kind| !held.contains(kind))
+    }
+
+    fn rank(&self) -> Option<usize> {
+        let first = *Self::kinds(&self.truth).first()?;
+        self.ranked.iter().position(|kind| kind == first)
+    }
+}
+
+impl Tally {
+    fn of(group: &[&Outcome]) -> Self {
+        let n = group.len();
+        let share = |is: &dyn Fn(&Outcome) -> bool| Share::new(group.iter().filter(|o| is(o)).count(), n);
+        let recovered: Vec<&Recovered> = group.iter().flat_map(|o| &o.parameters).collect();
+        let is_inside = |r: &&&Recovered| (r.ci95[0]..=r.ci95[1]).contains(&r.truth);
+        let errors = recovered.iter().filter(|r| r.truth != 0.0).map(|r| ((r.value - r.truth) / r.truth).abs());
+        let ratios = group.iter().filter_map(|o| Some(o.nrmse_percent.corrected? / o.nrmse_percent.floor?));
+        let middle = |pick: fn(&Four) -> Option<f64>| {
+            let values: Vec<f64> = group.iter().filter_map(|o| pick(&o.nrmse_percent)).collect();
+            (!values.is_empty()).then(|| median(&values))
+        };
+        Self {
+            alarms: share(&|o| o.verdict != Verdict::None),
+            unknown: share(&|o| o.verdict == Verdict::Unknown),
+            right: share(&Outcome::is_right),
+            wrong: share(&Outcome::is_wrong),
+            top_1: share(&|o| o.rank() == Some(0)),
+            top_3: share(&|o| o.rank().is_some_and(|rank| rank < 3)),
+            coverage: Share::new(recovered.iter().filter(is_inside).count(), recovered.len()),
+            parameter_error: Spread::of(errors.collect()),
+            corrected_over_floor: Spread::of(ratios.collect()),
+            nrmse_percent: Four {
+                declared: middle(|f| f.declared),
+                recalibrated: middle(|f| f.recalibrated),
+                corrected: middle(|f| f.corrected),
+                floor: middle(|f| f.floor),
+            },
+        }
+    }
+}
+
+impl Share {
+    /// `hits` of `of`, with the interval of Wilson (1927).
+    pub fn new(hits: usize, of: usize) -> Self {
+        if of == 0 {
+            return Self { hits, of, ci95: [0.0, 1.0] };
+        }
+        let (n, p, z) = (of as f64, hits as f64 / of as f64, 1.96f64);
+        let middle = (p + z * z / (2.0 * n)) / (1.0 + z * z / n);
+        let half = z / (1.0 + z * z / n) * (p * (1.0 - p) / n + z * z / (4.0 * n * n)).sqrt();
+        Self { hits, of, ci95: [(middle - half).max(0.0), (middle + half).min(1.0)] }
+    }
+}
+
+impl Spread {
+    fn of(values: Vec<f64>) -> Option<Self> {
+        let values: Vec<f64> = values.into_iter().filter(|v| v.is_finite()).collect();
+        (!values.is_empty()).then(|| Self { median: median(&values), q90: quantile(&values, 0.9), of: values.len() })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn outcome(held: &[&str], verdict: Verdict, found: &[&str], ranked: &[&str]) -> Outcome {
+        let tables = |kinds: &[&str]| -> Vec<toml::Table> {
+            kinds.iter().map(|k| toml::Table::from_iter([("kind".to_string(), (*k).into())])).collect()
+        };
+        Outcome {
+            cell: "c".into(),
+            number: 1,
+            truth: tables(held),
+            outside: Vec::new(),
+            verdict,
+            found: tables(found),
+            ambiguity: Vec::new(),
+            ranked: ranked.iter().map(|k| (*k).to_string()).collect(),
+            gain: 0.0,
+            explained_share: None,
+            parameters: vec![Recovered { name: "a.x".into(), truth: 2.0, value: 2.2, ci95: [2.1, 2.3] }],
+            nrmse_percent: Four {
+                declared: Some(40.0),
+                recalibrated: Some(20.0),
+                corrected: Some(11.0),
+                floor: Some(10.0),
+            },
+            seconds: 0.0,
+        }
+    }
+
+    #[test]
+    fn right_wrong_and_missed_names_are_told_apart() {
+        let outcomes = vec![
+            outcome(&["a"], Verdict::Known, &["a"], &["a", "b"]),
+            outcome(&["a"], Verdict::Known, &["b"], &["b", "a"]),
+            outcome(&["a"], Verdict::None, &[], &["c", "d", "e", "a"]),
+            outcome(&["a", "b"], Verdict::Known, &["a"], &["a"]),
+            outcome(&[], Verdict::Known, &["b"], &["b"]),
+        ];
+        let report = Report::new(1, outcomes, Vec::new());
+        let tally = &report.cells["c"];
+        let counts = [&tally.right, &tally.wrong, &tally.top_1, &tally.top_3, &tally.alarms].map(|s| s.hits);
+        assert_eq!(counts, [1, 2, 2, 3, 4]);
+        assert_eq!(tally.coverage.hits, 0);
+        assert!(tally.parameter_error.is_some_and(|s| (s.median - 0.1).abs() < 1e-12));
+        assert!(tally.corrected_over_floor.is_some_and(|s| (s.median - 1.1).abs() < 1e-12));
+        assert_eq!(report.surviving.right.of, 4, "a null twin survives nothing");
+        assert_eq!(report.confusion["nothing"]["b"], 1);
+        assert_eq!(report.confusion["a + b"]["a"], 1);
+    }
+
+    #[test]
+    fn the_interval_of_a_share_is_that_of_wilson() {
+        let none = Share::new(0, 60);
+        assert!(none.ci95[0] == 0.0 && (none.ci95[1] - 0.0602).abs() < 1e-3, "{none:?}");
+        let most = Share::new(31, 36);
+        assert!((most.ci95[0] - 0.713).abs() < 2e-3 && (most.ci95[1] - 0.939).abs() < 2e-3, "{most:?}");
+    }
+}

@@ -1,0 +1,126 @@
+//! Closing the loop as a user meets it: what is missing is named, correcting it pays on events nobody touched, nothing is
+//! named where nothing is missing, and nobody but the records stage reads the truth.
+
+use assert_cmd::Command;
+use serde_json::Value;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// A place with a manifest, a truth and a run directory.
+struct Place {
+    dir: tempfile::TempDir,
+}
+
+/// A made-up site small enough for a test, its truth drawn within its tolerances.
+const EVENTS: [(&str, f64, f64); 8] = [
+    ("E1", 0.02, 0.03),
+    ("E2", 0.05, 0.04),
+    ("E3", 0.08, 0.06),
+    ("E4", 0.04, 0.05),
+    ("E5", 0.03, 0.02),
+    ("E6", 0.06, 0.05),
+    ("E7", 0.03, 0.04),
+    ("E8", 0.05, 0.07),
+];
+
+impl Place {
+    fn new(effect: &str) -> Self {
+        let place = Self { dir: tempfile::tempdir().expect("a folder") };
+        let smoke = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/smoke.toml");
+        let manifest = fs::read_to_string(smoke).expect("a manifest");
+        let lists = [("train", &EVENTS[..4]), ("validation", &EVENTS[4..6]), ("test", &EVENTS[6..])];
+        let mut table: toml::Table = toml::from_str(&manifest).expect("TOML");
+        table.insert("pipeline".into(), "close-loop".into());
+        let records = table["records"].as_table_mut().expect("a table");
+        records.insert("truth".into(), "truth.toml".into());
+        for (split, events) in lists {
+            let names: Vec<toml::Value> = events.iter().map(|e| e.0.into()).collect();
+            records.insert(split.into(), names.into());
+        }
+        fs::write(place.path("site.toml"), table.to_string()).expect("written");
+        let mut truth = String::from("site = 'site.toml'\nseed = 4\n[noise]\nrms_share = 0.02\n");
+        for (name, ew, ns) in EVENTS {
+            truth += &format!("[[event]]\nname = '{name}'\npga_g = {{ EW = {ew}, NS = {ns} }}\nduration_s = 12.0\n");
+        }
+        fs::write(place.path("truth.toml"), truth + effect).expect("written");
+        place
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.dir.path().join(name)
+    }
+
+    /// Runs with few epochs and returns what was computed.
+    fn run(&self, more: &[&str]) -> Vec<String> {
+        let few = ["pretrain.epochs=20", "distill.epochs=5", "calibrate.epochs=10", "diagnose.null_twins=20"];
+        let mut command = Command::cargo_bin("flare-pipe").expect("the program is built");
+        command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("run").arg(self.path("site.toml"));
+        command.arg("--run-dir").arg(self.path("runs")).args(["--json", "-q"]).args(more);
+        few.iter().for_each(|f| {
+            command.args(["--set", f]);
+        });
+        let output = command.output().expect("the program starts");
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let said: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+        let computed = said["computed"].as_array().expect("a list");
+        computed.iter().map(|name| name.as_str().expect("a name").to_string()).collect()
+    }
+
+    fn loop_json(&self) -> Value {
+        serde_json::from_slice(&fs::read(self.path("runs/smoke/loop.json")).expect("written")).expect("JSON")
+    }
+}
+
+#[test]
+fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_out_events() {
+    let place = Place::new("[[effects]]\nkind = 'clock_offset'\nsensor = 'surface'\noffset_s = 0.03\n");
+    let computed = place.run(&["--until", "records"]);
+    assert_eq!(computed, ["records"]);
+    // Nobody else may need the truth: it is gone before anything else runs.
+    fs::remove_file(place.path("truth.toml")).expect("removed");
+    let computed = place.run(&[]);
+    assert!(computed.iter().any(|s| s == "diagnose") && !computed.iter().any(|s| s == "records"), "{computed:?}");
+
+    let found = place.loop_json();
+    assert_eq!(found["verdict"], "known", "{found:#}");
+    assert_eq!(found["effects"].as_array().map(Vec::len), Some(1), "{found:#}");
+    let effect = &found["effects"][0];
+    assert_eq!((&effect["kind"], &effect["target"]), (&"clock_offset".into(), &"surface".into()), "{found:#}");
+    let offset = &effect["parameters"]["offset_s"];
+    assert!((offset["value"].as_f64().expect("a number") - 0.03).abs() < 0.004, "{offset}");
+    assert_eq!(found["candidates"][0]["kind"], "clock_offset");
+
+    let medians = &found["summary"]["test_median_nrmse_percent"];
+    let median = |name: &str| medians[name].as_f64().expect("a number");
+    assert!(median("corrected") < 0.8 * median("recalibrated"), "{medians}");
+    assert!(median("flare_after").is_finite() && median("noise_floor") < median("corrected"), "{medians}");
+    let rows = found["errors"].as_array().expect("a list");
+    assert_eq!(rows.len(), 8 * 2 * 2, "events, components, sensors");
+    for row in rows {
+        for name in ["declared", "recalibrated", "corrected", "flare_before", "flare_after", "noise_floor"] {
+            assert!(row["nrmse_percent"][name].is_number(), "{row}");
+        }
+    }
+
+    let report = fs::read_to_string(place.path("runs/smoke/report.html")).expect("a report");
+    assert!(report.contains("The declared model lacks clock offset (surface)"));
+    let corrected = place.path("runs/smoke/site.corrected.toml");
+    let mut check = Command::cargo_bin("flare-pipe").expect("the program is built");
+    check.current_dir(env!("CARGO_MANIFEST_DIR")).arg("check").arg(&corrected).assert().success();
+    assert!(fs::read_to_string(corrected).expect("written").contains("kind = \"clock_offset\""));
+    assert!(place.run(&[]).is_empty(), "everything is cached, the truth still gone");
+}
+
+#[test]
+fn nothing_is_named_where_nothing_is_missing_and_the_second_pass_is_the_first() {
+    let place = Place::new("");
+    let computed = place.run(&[]);
+    let found = place.loop_json();
+    assert_eq!(found["verdict"], "none", "{found:#}");
+    assert_eq!(found["effects"].as_array().map(Vec::len), Some(0));
+    let medians = &found["summary"]["test_median_nrmse_percent"];
+    assert!(medians["recalibrated"].is_number() && medians["corrected"].is_null() && medians["flare_after"].is_null());
+    let again = ["simulate-corrected", "replay-corrected", "pretrain-corrected", "calibrate-ablation.EW"];
+    assert!(!computed.iter().any(|s| again.contains(&s.as_str())), "{computed:?}");
+    assert!(!place.path("runs/smoke/site.corrected.toml").exists());
+}
