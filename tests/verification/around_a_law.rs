@@ -206,3 +206,27 @@ fn a_softening_column_is_slower_after_the_strong_phase_and_finishes() {
         assert!(early < 0.02 && late > 0.15);
     }
 }
+
+#[test]
+fn closed_cycles_around_a_law_create_no_energy() {
+    for kind in KINDS {
+        let laws: [(&str, Box<dyn Law>); 3] = [
+            ("softened", Box::new(softened(kind, 1.0))),
+            ("rated", Box::new(rated(kind, "", 0.1))),
+            ("slider", Box::new(Slider::new(build(kind, ""), 8e3))),
+        ];
+        for (name, law) in laws {
+            for amplitude in [1e-5, 1e-4, 1e-3] {
+                let gammas: Vec<f64> = cycles(amplitude, 5, 400).collect();
+                let (responses, _) = walk(law.as_ref(), gammas.iter().copied(), 0.005);
+                let (mut work, mut largest, mut last) = (0.0, 0.0_f64, (0.0, 0.0));
+                for (gamma, response) in gammas.iter().zip(&responses) {
+                    work += 0.5 * (last.1 + response.tau_pa) * (gamma - last.0);
+                    largest = largest.max(response.tau_pa.abs());
+                    last = (*gamma, response.tau_pa);
+                }
+                assert!(work > -1e-6 * largest * amplitude, "{name} {kind} at {amplitude:e}: {work:e} J/m³");
+            }
+        }
+    }
+}
