@@ -1,6 +1,6 @@
 //! The column as a linear analysis sees it: masses, heights, viscous damping, and the law of each element at rest.
 
-use super::Column;
+use super::{Column, Structure};
 use crate::soil::Law;
 
 /// One element before shaking.
@@ -41,13 +41,19 @@ impl Column {
         })
     }
 
-    /// Horizontal mass of the nodes above the base, kg/m², surface down; a container's is in it, a structure's is not.
+    /// Horizontal mass of the nodes, kg/m², surface down, the base where it is compliant; a container's is in it, a
+    /// structure's is not.
     pub fn node_mass_kg_m2(&self) -> Vec<f64> {
-        self.mesh.mass[..self.mesh.elements.len()].iter().map(|m| m[0]).collect()
+        self.mesh.mass.iter().map(|m| m[0]).collect()
     }
 
-    /// Mass-proportional damping of the same nodes on the velocity relative to the input motion, kg/(m² s).
+    /// Dashpots between the same nodes and the input motion, kg/(m² s).
     pub fn node_damping_kg_m2_s(&self) -> Vec<f64> {
-        self.mesh.dashpot[..self.mesh.elements.len()].iter().map(|c| c[0]).collect()
+        self.mesh.dashpot.iter().map(|c| c[0]).collect()
+    }
+
+    /// The structure on the surface.
+    pub fn structure(&self) -> Structure {
+        self.mesh.structure
     }
 }

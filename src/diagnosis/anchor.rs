@@ -19,9 +19,24 @@ const FACTOR: [f64; 2] = [0.33, 3.0];
 ///
 /// exact at the anchor a; ⟨⟩ is a mean over neighbouring bins. Where the fast column is nearly silent, K would be a
 /// quotient of two small numbers; the mean and the second part of (1) keep that from mattering.
+///
+/// From the anchor before, a step Δ away, (1) had been wrong by D = V_FE(a) − V_before(a). It goes on being wrong in that
+/// direction, which the second replay has paid for:
+///
+/// ```text
+/// V(θ) += D · Δᵀ(θ − a) / |Δ|²                                          (2)
+/// ```
+///
+/// Limits: (2) holds along the last step only, and no farther than its length.
+/// Check:  `a_second_anchor_knows_the_error_of_the_first_along_the_step`.
+/// Source: Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6, for (2).
 pub struct Anchor {
     /// By group and record; `None` without a replay, where the fast column stands alone.
     pub records: Vec<Vec<Option<RecordAnchor>>>,
+    /// Unknowns of the anchor.
+    at: Vec<f64>,
+    /// Step from the anchor before, over its squared length; empty without one.
+    direction: Vec<f64>,
 }
 
 /// K and the second part of (1), `[bin][sensor]`.
@@ -30,12 +45,22 @@ pub struct RecordAnchor {
     pub factor: Vec<C64>,
     /// V_FE(a) − K · V_fast(a).
     pub rest: Vec<C64>,
+    /// D of (2); empty without an anchor before.
+    drift: Vec<C64>,
+}
+
+impl RecordAnchor {
+    /// The second part of (1) with (2), `amount` being its scalar product.
+    pub fn rest_at(&self, index: usize, amount: f64) -> C64 {
+        self.drift.get(index).map_or(self.rest[index], |d| self.rest[index] + d * amount)
+    }
 }
 
 impl Anchor {
     /// The fast column alone.
     pub fn fast(scene: &Scene<'_>) -> Self {
-        Self { records: scene.groups.iter().map(|g| g.records.iter().map(|_| None).collect()).collect() }
+        let none = |g: &super::spectra::Group| g.records.iter().map(|_| None).collect();
+        Self { records: scene.groups.iter().map(none).collect(), at: Vec::new(), direction: Vec::new() }
     }
 
     /// Replays the events under `tables` and compares with the fast column's `responses` there.
@@ -45,11 +70,13 @@ impl Anchor {
     pub fn replayed(
         scene: &Scene<'_>,
         replay: &dyn Replay,
-        tables: &[toml::Table],
+        (tables, x): (&[toml::Table], &[f64]),
         responses: &Responses,
+        before: Option<&Self>,
     ) -> Result<Self> {
         let replays = replay.replay(tables)?;
-        let mut anchor = Self::fast(scene);
+        let mut anchor = Self { at: x.to_vec(), ..Self::fast(scene) };
+        let step = before.map(|b| step(&b.at, x)).unwrap_or_default();
         for (g, group) in scene.groups.iter().enumerate() {
             for (r, record) in group.records.iter().enumerate() {
                 let (Some(Some(replayed)), Some(response)) = (replays.get(record.event), responses.records[g].get(r))
@@ -57,19 +84,53 @@ impl Anchor {
                     continue;
                 };
                 let nonlinear: Vec<Vec<C64>> = replayed.iter().map(|x| scene.bins(g, r, x)).collect();
-                anchor.records[g][r] = Some(compare(&group.frequencies_hz, &nonlinear, &response.motion));
+                let mut own = compare(&group.frequencies_hz, &nonlinear, &response.motion);
+                if let Some((before, earlier)) = before.and_then(|b| Some((b, b.records[g][r].as_ref()?)))
+                    && !step.is_empty()
+                {
+                    let amount = before.amount(x);
+                    own.drift = (0..own.rest.len())
+                        .map(|i| {
+                            let factor = own.factor[i] - earlier.factor[i];
+                            factor * response.motion[i] + own.rest[i] - earlier.rest_at(i, amount)
+                        })
+                        .collect();
+                }
+                anchor.records[g][r] = Some(own);
             }
         }
+        anchor.direction = step;
         Ok(anchor)
     }
+
+    /// The scalar product of (2) at `x`.
+    pub fn amount(&self, x: &[f64]) -> f64 {
+        if self.direction.len() != x.len() {
+            return 0.0;
+        }
+        let product: f64 = self.direction.iter().zip(x).zip(&self.at).map(|((d, x), a)| d * (x - a)).sum();
+        product.clamp(-1.0, 1.0)
+    }
+}
+
+/// Δ/|Δ|² from `a` to `b`; empty where they are not of one model or the same.
+fn step(a: &[f64], b: &[f64]) -> Vec<f64> {
+    let squared: f64 = a.iter().zip(b).map(|(a, b)| (b - a) * (b - a)).sum();
+    if a.len() != b.len() || squared < 1e-6 {
+        return Vec::new();
+    }
+    a.iter().zip(b).map(|(a, b)| (b - a) / squared).collect()
 }
 
 fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], motion: &[C64]) -> RecordAnchor {
     let (n, count) = (frequencies_hz.len(), replayed.len());
     let step_hz = frequencies_hz[1] - frequencies_hz[0];
     let half = (SMOOTH_HZ / step_hz).round().max(1.0) as usize;
-    let mut anchor =
-        RecordAnchor { factor: vec![C64::new(1.0, 0.0); n * count], rest: vec![C64::default(); n * count] };
+    let mut anchor = RecordAnchor {
+        factor: vec![C64::new(1.0, 0.0); n * count],
+        rest: vec![C64::default(); n * count],
+        drift: Vec::new(),
+    };
     for (s, nonlinear) in replayed.iter().enumerate() {
         let fast: Vec<C64> = (0..n).map(|k| motion[k * count + s]).collect();
         for k in 0..n {
@@ -84,4 +145,21 @@ fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], motion: &[C64]) -> Rec
         }
     }
     anchor
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_second_anchor_knows_the_error_of_the_first_along_the_step() {
+        let anchor = Anchor { records: Vec::new(), at: vec![1.0, 2.0], direction: step(&[0.0, 0.0], &[1.0, 2.0]) };
+        let record =
+            RecordAnchor { factor: Vec::new(), rest: vec![C64::new(1.0, 0.0)], drift: vec![C64::new(0.0, 2.0)] };
+        assert_eq!(anchor.amount(&[1.0, 2.0]), 0.0);
+        assert!((anchor.amount(&[1.5, 3.0]) - 0.5).abs() < 1e-12);
+        assert_eq!(anchor.amount(&[3.0, 1.0]), 0.0, "across the step nothing is known");
+        assert_eq!(anchor.amount(&[9.0, 9.0]), 1.0, "no farther than the step");
+        assert_eq!(record.rest_at(0, 0.5), C64::new(1.0, 1.0));
+    }
 }

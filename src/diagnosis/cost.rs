@@ -28,16 +28,32 @@ pub fn whitened(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    anchor: &Anchor,
+    (anchor, amount): (&Anchor, f64),
     groups: &[usize],
 ) -> Vec<f64> {
-    let of_group = |g: &usize| {
+    let whiten = |g: &usize| {
         let mut out = Vec::with_capacity(scene.groups[*g].n_residual());
-        walk(scene, effects, responses, anchor, *g, &mut |bin| bin.whiten(&mut out));
+        each_bin(scene, effects, responses, (anchor, amount), *g, |bin| bin.whiten(&mut out));
         out
     };
-    let parts: Vec<Vec<f64>> = groups.par_iter().map(of_group).collect();
-    parts.concat()
+    groups.par_iter().map(whiten).collect::<Vec<Vec<f64>>>().concat()
+}
+
+/// What the cost comes to where the model is right and nothing but noise is left. Less than the number of residuals where the
+/// cost also distrusts the fast column.
+pub fn expected(
+    scene: &Scene<'_>,
+    effects: &[Box<dyn Effect>],
+    responses: &Responses,
+    (anchor, amount): (&Anchor, f64),
+    groups: &[usize],
+) -> f64 {
+    let of_group = |g: &usize| {
+        let mut sum = 0.0;
+        each_bin(scene, effects, responses, (anchor, amount), *g, |bin| sum += bin.expected());
+        sum
+    };
+    groups.par_iter().map(of_group).collect::<Vec<f64>>().iter().sum()
 }
 
 /// What is predicted and what was recorded in group `g`, `[record][sensor]`; interference is out of both.
@@ -52,7 +68,7 @@ pub fn pairs(
     let n_sensor = scene.problem.array.outputs.len();
     let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
     let mut rows = vec![empty; group.records.len() * n_sensor];
-    walk(scene, effects, responses, anchor, g, &mut |bin| {
+    each_bin(scene, effects, responses, anchor, g, |bin| {
         for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
             row.predicted.push(*predicted);
             row.measured.push(*measured);
@@ -61,14 +77,14 @@ pub fn pairs(
     rows.chunks_exact(n_sensor.max(1)).map(<[Pair]>::to_vec).collect()
 }
 
-/// Shows every bin of group `g` in turn.
-fn walk(
+/// Sets up every frequency of group `g` in turn.
+fn each_bin(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    anchor: &Anchor,
+    (anchor, amount): (&Anchor, f64),
     g: usize,
-    show: &mut dyn FnMut(&mut Bin),
+    mut visit: impl FnMut(&mut Bin),
 ) {
     let group = &scene.groups[g];
     let n_sensor = scene.problem.array.outputs.len();
@@ -101,7 +117,7 @@ fn walk(
                     let mut motion = response.transfer[at];
                     if let Some(anchor) = &anchor.records[g][q] {
                         motion *= anchor.factor[at];
-                        predicted = predicted * anchor.factor[at] + anchor.rest[at];
+                        predicted = predicted * anchor.factor[at] + anchor.rest_at(at, amount);
                     }
                     predicted += arrival * inputs[q][k];
                     motion += arrival;
@@ -117,13 +133,14 @@ fn walk(
                     bin.measured[row] -= added[k];
                 }
                 bin.residual[row] = bin.measured[row] - bin.predicted[row];
-                bin.noise[row] = record.noise[source][k];
+                bin.sensor_noise[row] = record.noise[source][k];
+                bin.noise[row] = record.noise[source][k] + record.distrust[source][k];
             }
         }
         for (p, record) in group.records.iter().enumerate() {
             bin.input_noise[p] = record.noise[sources[0]][k];
         }
-        show(&mut bin);
+        visit(&mut bin);
     }
 }
 
@@ -133,7 +150,9 @@ struct Bin {
     predicted: Vec<C64>,
     measured: Vec<C64>,
     residual: Vec<C64>,
+    /// With the distrust.
     noise: Vec<f64>,
+    sensor_noise: Vec<f64>,
     input_noise: Vec<f64>,
 }
 
@@ -145,8 +164,30 @@ impl Bin {
             measured: vec![C64::default(); n_row],
             residual: vec![C64::default(); n_row],
             noise: vec![1.0; n_row],
+            sensor_noise: vec![1.0; n_row],
             input_noise: vec![0.0; n_input],
         }
+    }
+
+    /// Expectation of |ρ|² under the noise of the sensors alone.
+    fn expected(&mut self) -> f64 {
+        let (model, n_input) = (self.model.clone(), self.input_noise.len());
+        let mut out = Vec::new();
+        let mut sum = 0.0;
+        for source in 0..self.residual.len() + n_input {
+            self.model.clone_from(&model);
+            for (i, r) in self.residual.iter_mut().enumerate() {
+                *r = match source.checked_sub(model.len()) {
+                    Some(p) => model[i][p] * self.input_noise[p].sqrt(),
+                    None if i == source => self.sensor_noise[i].sqrt().into(),
+                    None => C64::default(),
+                };
+            }
+            out.clear();
+            self.whiten(&mut out);
+            sum += out.iter().map(|r| r * r).sum::<f64>();
+        }
+        sum
     }
 
     /// Appends ρ of (1), real and imaginary parts; (2) for the first two inputs.
@@ -249,6 +290,20 @@ mod tests {
         bin.whiten(&mut rho);
         let cost: f64 = rho.iter().map(|v| v * v).sum();
         assert!((cost / expected - 1.0).abs() < 1e-12, "{cost} {expected}");
+    }
+
+    #[test]
+    fn noise_alone_is_expected_to_cost_two_for_each_row() {
+        let mut bin = Bin::new(2, 3);
+        bin.model[0] = vec![C64::new(2.0, 0.3), C64::new(0.2, 0.0)];
+        bin.model[2] = vec![C64::new(-1.0, 0.3), C64::new(0.0, 1.5)];
+        bin.input_noise = vec![0.7, 0.2];
+        bin.noise = vec![0.4, 1.0, 2.0];
+        bin.sensor_noise = bin.noise.clone();
+        assert!((bin.expected() - 6.0).abs() < 1e-9);
+        bin.sensor_noise[1] = 0.25;
+        bin.noise[1] = 1.0;
+        assert!((bin.expected() - 4.5).abs() < 1e-9);
     }
 
     #[test]

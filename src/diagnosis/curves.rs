@@ -8,11 +8,13 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 
 /// Shear-strain amplitudes at which a curve is measured.
-const AMPLITUDES: [f64; 8] = [3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
+const AMPLITUDES: [f64; 10] = [1e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
 /// Cycles driven at each amplitude; the last one is measured.
 const CYCLES: usize = 3;
 /// Increments of a cycle.
 const STEPS: usize = 32;
+/// Time of an increment, s: cycles of about 2 Hz.
+const STEP_S: f64 = 0.5 / STEPS as f64;
 /// Distance of the measured shear-wave velocities in ln; between them curves are interpolated.
 const GRID_LN: f64 = 0.15;
 
@@ -121,7 +123,8 @@ impl Specimen<'_> {
         let mut eps = 0.0;
         let mut outcome = Err(Refusal::Return);
         for _ in 0..8 {
-            outcome = self.law.update(Increment::new(gamma, eps), &self.state, &mut self.trial);
+            outcome =
+                self.law.update(Increment { dt_s: STEP_S, ..Increment::new(gamma, eps) }, &self.state, &mut self.trial);
             let Ok(response) = &outcome else { break };
             if self.vertical == Vertical::Restrained {
                 break;
@@ -155,27 +158,36 @@ pub struct Curves {
 
 impl Curves {
     /// The curve of `law` of `layer` at `point`, interpolated between a grid of shear-wave velocities.
-    pub fn of(&self, law: &dyn Law, layer: &Layer, point: &Point, pore_pa: f64, vertical: Vertical) -> Curve {
-        if layer.law_kind == "elastic" {
+    ///
+    /// `around` names what surrounds the law beside its own parameters.
+    pub fn of(
+        &self,
+        law: &dyn Law,
+        (layer, around): (&Layer, &str),
+        point: &Point,
+        pore_pa: f64,
+        vertical: Vertical,
+    ) -> Curve {
+        if layer.law_kind == "elastic" && around.is_empty() {
             return Curve::LINEAR;
         }
         let x = point.vs_m_s.ln() / GRID_LN;
         let [below, above] =
-            [0.0, 1.0].map(|shift| self.on_grid(law, layer, point, pore_pa, vertical, x.floor() + shift));
+            [0.0, 1.0].map(|shift| self.on_grid(law, (layer, around), point, (pore_pa, vertical), x.floor() + shift));
         below.mixed(&above, x - x.floor())
     }
 
     fn on_grid(
         &self,
         law: &dyn Law,
-        layer: &Layer,
+        (layer, around): (&Layer, &str),
         point: &Point,
-        pore_pa: f64,
-        vertical: Vertical,
+        (pore_pa, vertical): (f64, Vertical),
         node: f64,
     ) -> Arc<Curve> {
         let mut hasher = DefaultHasher::new();
         layer.law_kind.hash(&mut hasher);
+        around.hash(&mut hasher);
         hash_table(&layer.law, &mut hasher);
         let numbers = [point.density_kg_m3, point.vertical_pa, point.horizontal_pa, pore_pa, node];
         numbers.map(f64::to_bits).hash(&mut hasher);
@@ -253,7 +265,7 @@ mod tests {
         let curves = Curves::default();
         let at = |vs_m_s: f64| {
             let point = Point { vs_m_s, ..POINT };
-            curves.of(law.as_ref(), &layer, &point, law.pore_stiffness_pa(), Vertical::Free).at(5e-4)
+            curves.of(law.as_ref(), (&layer, ""), &point, law.pore_stiffness_pa(), Vertical::Free).at(5e-4)
         };
         let (slow, fast) = (at(140.0), at(160.0));
         assert!(slow.0 < 0.95 && slow.1 > 0.005, "{slow:?}");

@@ -15,7 +15,9 @@ use crate::progress::Progress;
 /// Most steps of the recalibration, and after a new anchor.
 const STEPS: [usize; 2] = [12, 6];
 /// Most replays of a recalibration.
-const MAX_ANCHORS: usize = 3;
+const MAX_ANCHORS: usize = 6;
+/// Most tries of a round.
+const MAX_TRIES: usize = 3;
 
 /// Names what the declared model lacks.
 ///
@@ -31,7 +33,7 @@ pub fn diagnose(
     let mut scene = Scene::new(problem, settings)?;
     let declared = {
         let search = Search::new(&scene, settings, Some(replay))?;
-        search.anchored(&[], &vec![0.0; search.nuisances.len()])?
+        search.anchored(&[], &vec![0.0; search.nuisances.len()], None)?
     };
     scene.distrust(&declared);
     let search = Search::new(&scene, settings, Some(replay))?;
@@ -55,6 +57,8 @@ pub(super) struct Path {
     pub first: Vec<Fitted>,
     /// What the corrected model was settled against.
     pub anchor: Anchor,
+    /// Anchor of the best effect of the last round.
+    confirmed: Option<Anchor>,
 }
 
 impl Search<'_> {
@@ -82,38 +86,22 @@ impl Search<'_> {
             candidates: Vec::new(),
             first: Vec::new(),
             anchor,
+            confirmed: None,
         };
         for number in 1..=self.settings.max_effects {
-            let from_declared = path.declared_with_effects(self, &declared_anchor)?;
-            let at = if number == 1 { &declared_anchor } else { &path.anchor };
-            let ground =
-                Ground { declared: Some((&from_declared, at)), base: path.corrected.clone(), anchor: &path.anchor };
-            let round = self.round(ground, progress)?;
-            if number == 1 {
-                path.recalibrated = round.base.clone();
-                path.first = round.fitted.clone();
-            }
-            path.corrected = round.base;
-            path.note(self, &round.fitted, number);
+            let fitted = self.fair_round(&mut path, number, &declared_anchor, progress)?;
             progress.advance(1);
-            let Some(best) = round.fitted.first() else { break };
-            progress.note(&format!(
-                "round {number}: {} {} gains {:.0} ({:.0} on validation)",
-                best.instance.kind,
-                best.instance.place(),
-                best.gain,
-                best.validation_gain
-            ));
+            let Some(best) = fitted.first() else { break };
             if best.gain <= thresholds.gain || best.validation_gain <= thresholds.validation_gain {
                 break;
             }
             path.corrected = best.model.clone();
             path.accepted.push(best.clone());
-            if let Some(confirmed) = round.anchor {
+            if let Some(confirmed) = path.confirmed.take() {
                 path.anchor = confirmed;
             }
             self.drop_needless(&mut path)?;
-            if path.corrected.cost() <= self.expected_cost() {
+            if path.corrected.excess() <= 0.0 {
                 break;
             }
         }
@@ -121,17 +109,78 @@ impl Search<'_> {
         Ok(path)
     }
 
+    /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be
+    /// credited with what the base had only not found yet.
+    fn fair_round(
+        &self,
+        path: &mut Path,
+        number: usize,
+        declared_anchor: &Anchor,
+        progress: &dyn Progress,
+    ) -> Result<Vec<Fitted>> {
+        let mut tries = 0;
+        loop {
+            let from_declared = path.declared_with_effects(self, declared_anchor)?;
+            let at = if number == 1 { declared_anchor } else { &path.anchor };
+            let ground =
+                Ground { declared: Some((&from_declared, at)), base: path.corrected.clone(), anchor: &path.anchor };
+            let round = self.round(ground, progress)?;
+            path.corrected = round.base;
+            tries += 1;
+            if tries < MAX_TRIES
+                && let Some(best) = round.fitted.first().filter(|f| f.gain > 0.0)
+                && let Some((base, anchor)) = self.better_base(path, best, progress)?
+            {
+                path.corrected = base;
+                path.anchor = anchor;
+                continue;
+            }
+            if number == 1 {
+                path.recalibrated = path.corrected.clone();
+                path.first = round.fitted.clone();
+            }
+            path.confirmed = round.anchor;
+            path.note(&round.fitted, number);
+            if let Some(best) = round.fitted.first() {
+                progress.note(&format!(
+                    "round {number}: {} {} gains {:.0} ({:.0} on validation)",
+                    best.instance.kind,
+                    best.instance.place(),
+                    best.gain,
+                    best.validation_gain
+                ));
+            }
+            return Ok(round.fitted);
+        }
+    }
+
+    /// The base replayed and fitted from the nuisances of `best`, where that is better than the base so far.
+    fn better_base(&self, path: &Path, best: &Fitted, progress: &dyn Progress) -> Result<Option<(Model, Anchor)>> {
+        if self.replay.is_none() {
+            return Ok(None);
+        }
+        let base = &path.corrected;
+        let x = &best.model.x()[..base.x().len()];
+        let near = self.settle(&base.effects, x, &path.anchor, Some(base), STEPS[1])?;
+        let anchor = self.anchored(&base.effects, near.x(), Some(&path.anchor))?;
+        let model = self.settle(&base.effects, near.x(), &anchor, Some(&near), STEPS[1])?;
+        progress.note(&format!("base: {:.0} so far, {:.0} from the effect's nuisances", base.cost(), model.cost()));
+        let is_better = base.cost() - model.cost() > 0.3 * best.gain.max(self.charge());
+        Ok(is_better.then_some((model, anchor)))
+    }
+
     /// Recalibrates, replays there, and recalibrates again, as long as that helps.
     fn recalibrated(&self, declared: &Model, anchor: &Anchor, progress: &dyn Progress) -> Result<(Model, Anchor)> {
         let mut model = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
         let mut best: Option<(Model, Anchor)> = None;
         for _ in 0..MAX_ANCHORS {
-            let anchor = self.anchored(&[], model.x())?;
-            let seen = self.settle(&[], model.x(), &anchor, Some(&model), 0)?;
+            let before = best.as_ref().map_or(anchor, |(_, anchor)| anchor);
+            let next = self.anchored(&[], model.x(), Some(before))?;
+            let seen = self.settle(&[], model.x(), &next, Some(&model), 0)?;
             progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", model.cost(), seen.cost()));
-            let is_done = best.as_ref().is_some_and(|(b, _)| seen.cost() > 0.98 * b.cost());
+            let is_done = best.as_ref().is_some_and(|(b, _)| seen.cost() > 0.995 * b.cost());
             if best.as_ref().is_none_or(|(b, _)| seen.cost() < b.cost()) {
-                best = Some((seen.clone(), anchor));
+                best = Some((seen, next));
             }
             if is_done || self.replay.is_none() {
                 break;
@@ -168,11 +217,6 @@ impl Search<'_> {
         }
         Ok(())
     }
-
-    /// Cost of a model that leaves only noise.
-    pub(super) fn expected_cost(&self) -> f64 {
-        (self.scene.n_residual(&self.train) + self.scene.n_residual(&self.validation)) as f64
-    }
 }
 
 impl Path {
@@ -184,8 +228,8 @@ impl Path {
         search.settle(&self.corrected.effects, &x, anchor, Some(&self.corrected), 0)
     }
 
-    fn note(&mut self, search: &Search<'_>, fitted: &[Fitted], round: usize) {
-        let excess = (self.recalibrated.cost() - search.expected_cost()).max(1.0);
+    fn note(&mut self, fitted: &[Fitted], round: usize) {
+        let excess = self.recalibrated.excess().max(1.0);
         self.candidates.extend(fitted.iter().map(|f| {
             let x = f.model.x();
             let own = &x[x.len() - f.instance.free.len()..];

@@ -1,7 +1,7 @@
 //! The column in the frequency domain, at moduli and damping compatible with its strains: what the search runs on.
 
 use super::curves::{Curve, Curves};
-use crate::column::{Analysis, Column, Profile};
+use crate::column::{Analysis, Column, Features, Profile, Structure};
 use crate::error::Result;
 use crate::soil::Point;
 use realfft::num_complex::Complex;
@@ -23,7 +23,7 @@ const PLACES: usize = 3;
 /// ```text
 /// τ_i = τ_{i−1} − (ω² m_i − iω c_i) U_i − iω c_i u_g                      (1)
 /// γ_i = τ_i / (G_i (1 + 2i D_i) + iω β_i G₀_i),   U_{i+1} = U_i + h_i γ_i   (2)
-/// U = a U_h + u_g U_p,   a = u_g (1 − U_p(H)) / U_h(H)                     (3)
+/// U = a U_h + u_g U_p,   a = u_g (1 − U_p(H)) / U_h(H),   or −u_g τ_p/τ_h below a compliant base's node   (3)
 /// ```
 ///
 /// where U_h starts with (1, 0) and no source and U_p with (0, 0) and the source of (1). Everything marched is a smooth
@@ -37,6 +37,7 @@ pub struct FastColumn {
     elements: Vec<Element>,
     mass: Vec<f64>,
     damping: Vec<f64>,
+    structure: Structure,
     depth_m: f64,
     travel_s: f64,
 }
@@ -46,6 +47,7 @@ struct Element {
     height_m: f64,
     depth_m: f64,
     shear_modulus_pa: f64,
+    container_pa: f64,
     beta_s: f64,
     curve: Curve,
 }
@@ -60,6 +62,21 @@ pub fn element_count(profile: &Profile, high_hz: f64) -> usize {
     (needed.fold(1.0, f64::max) as usize).clamp(profile.layers.len(), MAX_ELEMENTS.max(profile.layers.len()))
 }
 
+/// What of `features` changes the law of an element, as a name for its curve; empty for a plain column.
+fn around(features: &Features, depth_m: f64, height_m: f64) -> String {
+    let (softenings, rates) = (&features.softenings, &features.rates);
+    let range = depth_m - 0.5 * height_m..depth_m + 0.5 * height_m;
+    let slip = features.slips.iter().filter(|s| range.contains(&s.depth_m)).map(|s| s.tau_max_pa).reduce(f64::min);
+    if softenings.is_empty() && rates.is_empty() && slip.is_none() {
+        return String::new();
+    }
+    // Which zones reach the element is part of the name.
+    let inside = |top: f64, bottom: f64| (top..bottom).contains(&depth_m);
+    let soft: Vec<_> = softenings.iter().filter(|z| inside(z.top_m, z.bottom_m)).collect();
+    let fast: Vec<_> = rates.iter().filter(|z| inside(z.top_m, z.bottom_m)).collect();
+    format!("{soft:?} {fast:?} {slip:?}")
+}
+
 impl FastColumn {
     /// Sets up `profile` with about `elements` elements.
     ///
@@ -70,7 +87,7 @@ impl FastColumn {
         let column = Column::new(&coarse, &Analysis::default())?;
         let mut out = Vec::with_capacity(coarse.elements);
         let (mut layer, mut top_m) = (0, 0.0);
-        let mut latest: Option<(usize, usize, Curve)> = None;
+        let mut latest: Option<(usize, usize, String, Curve)> = None;
         for slice in column.slices() {
             while layer + 1 < coarse.layers.len() && slice.depth_m > top_m + coarse.layers[layer].thickness_m {
                 top_m += coarse.layers[layer].thickness_m;
@@ -79,8 +96,9 @@ impl FastColumn {
             let declared = &coarse.layers[layer];
             let places = ((declared.thickness_m / (0.04 * coarse.depth_m())) as usize).clamp(1, PLACES);
             let place = ((slice.depth_m - top_m) / declared.thickness_m * places as f64) as usize;
-            let curve = match latest {
-                Some((l, p, curve)) if (l, p) == (layer, place) => curve,
+            let around = around(&coarse.features, slice.depth_m, slice.height_m);
+            let curve = match &latest {
+                Some((l, p, a, curve)) if (*l, *p) == (layer, place) && *a == around => *curve,
                 _ => {
                     let point = Point {
                         depth_m: slice.depth_m,
@@ -89,14 +107,15 @@ impl FastColumn {
                         vertical_pa: slice.vertical_pa,
                         horizontal_pa: declared.k0 * slice.vertical_pa,
                     };
-                    curves.of(slice.law, declared, &point, slice.pore_pa, coarse.vertical)
+                    curves.of(slice.law, (declared, &around), &point, slice.pore_pa, coarse.vertical)
                 }
             };
-            latest = Some((layer, place, curve));
+            latest = Some((layer, place, around, curve));
             out.push(Element {
                 height_m: slice.height_m,
                 depth_m: slice.depth_m,
                 shear_modulus_pa: slice.shear_modulus_pa,
+                container_pa: slice.container_pa,
                 beta_s: slice.beta_s,
                 curve,
             });
@@ -105,6 +124,7 @@ impl FastColumn {
             elements: out,
             mass: column.node_mass_kg_m2(),
             damping: column.node_damping_kg_m2_s(),
+            structure: column.structure(),
             depth_m: coarse.depth_m(),
             travel_s: coarse.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum(),
         })
@@ -124,13 +144,16 @@ impl FastColumn {
     pub fn march(&self, grid: Grid, gamma: &[f64], depths_m: &[f64]) -> March {
         let n = grid.count;
         let omega: Vec<f64> = (0..n).map(|k| TAU * grid.frequency(k)).collect();
-        let is_damped = self.damping.iter().any(|c| *c > 0.0);
+        let is_compliant = self.mass.len() > self.elements.len();
+        let is_damped = is_compliant || self.damping.iter().any(|c| *c > 0.0);
         let rows = self.rows(depths_m);
         let mut homogeneous = Wave::new(n, [1.0, 0.0]);
         let mut particular = Wave::new(n, [0.0, 0.0]);
+        homogeneous.load(&self.structure, &omega);
         let mut march = March {
             grid,
             is_damped,
+            is_compliant,
             base: [Vec::new(), Vec::new()],
             sensors: vec![[vec![C64::default(); n], vec![C64::default(); n]]; depths_m.len()],
             strain: [vec![C64::default(); n * self.elements.len()], Vec::new()],
@@ -155,13 +178,20 @@ impl FastColumn {
             let Some(element) = self.elements.get(i) else { break };
             let (ratio, damping) = element.curve.at(gamma[i]);
             let modulus = element.shear_modulus_pa * ratio;
-            let stiffness = [modulus, 2.0 * damping * modulus, element.beta_s * element.shear_modulus_pa];
+            let stiffness =
+                [modulus + element.container_pa, 2.0 * damping * modulus, element.beta_s * element.shear_modulus_pa];
             let node = [self.mass[i], self.damping[i]];
             let slot = i * n..(i + 1) * n;
             homogeneous.step(&omega, node, 0.0, stiffness, element.height_m, &mut march.strain[0][slot.clone()]);
             if is_damped {
                 particular.step(&omega, node, 1.0, stiffness, element.height_m, &mut march.strain[1][slot]);
             }
+        }
+        if let (true, Some(mass), Some(damping)) = (is_compliant, self.mass.last(), self.damping.last()) {
+            homogeneous.pass_node(&omega, [*mass, *damping], 0.0);
+            particular.pass_node(&omega, [*mass, *damping], 1.0);
+            march.base = [homogeneous.traction(), particular.traction()];
+            return march;
         }
         march.base = [homogeneous.displacement(), if is_damped { particular.displacement() } else { Vec::new() }];
         march
@@ -233,6 +263,33 @@ impl Wave {
         Self { u: [vec![start[0]; n], vec![start[1]; n]], tau: [vec![0.0; n], vec![0.0; n]] }
     }
 
+    /// The inertia of a structure on the surface: τ = −m_s ω² T U, T its transmissibility.
+    fn load(&mut self, structure: &Structure, omega: &[f64]) {
+        if structure.mass_kg_m2 <= 0.0 {
+            return;
+        }
+        let own = TAU * structure.frequency_hz;
+        for (k, w) in omega.iter().enumerate() {
+            let spring = C64::new(own * own, 2.0 * structure.damping_ratio * own * w);
+            let traction = -structure.mass_kg_m2 * w * w * spring / (spring - w * w);
+            self.tau[0][k] += traction.re * self.u[0][k] - traction.im * self.u[1][k];
+            self.tau[1][k] += traction.re * self.u[1][k] + traction.im * self.u[0][k];
+        }
+    }
+
+    /// (1) alone.
+    fn pass_node(&mut self, omega: &[f64], [mass, damping]: [f64; 2], source: f64) {
+        for (k, w) in omega.iter().enumerate() {
+            let (m, c) = (w * w * mass, w * damping);
+            self.tau[0][k] -= m * self.u[0][k] + c * self.u[1][k];
+            self.tau[1][k] += c * (self.u[0][k] - source) - m * self.u[1][k];
+        }
+    }
+
+    fn traction(&self) -> Vec<C64> {
+        self.tau[0].iter().zip(&self.tau[1]).map(|(re, im)| C64::new(*re, *im)).collect()
+    }
+
     fn displacement(&self) -> Vec<C64> {
         self.u[0].iter().zip(&self.u[1]).map(|(re, im)| C64::new(*re, *im)).collect()
     }
@@ -278,7 +335,8 @@ impl Wave {
 pub struct March {
     grid: Grid,
     is_damped: bool,
-    /// U_h and U_p at the base.
+    is_compliant: bool,
+    /// U_h and U_p at the base; their tractions below the base node where it is compliant.
     base: [Vec<C64>; 2],
     /// U_h and U_p at each sensor.
     sensors: Vec<[Vec<C64>; 2]>,
@@ -292,7 +350,8 @@ impl March {
         let (i, weights) = self.grid.cubic(frequency_hz);
         let at = |v: &[C64]| (0..4).map(|k| v[i + k] * weights[k]).sum::<C64>();
         let particular = if self.is_damped { at(&self.base[1]) } else { C64::default() };
-        ((C64::new(1.0, 0.0) - particular) / at(&self.base[0]), i, weights)
+        let wanted = if self.is_compliant { C64::default() } else { C64::new(1.0, 0.0) };
+        ((wanted - particular) / at(&self.base[0]), i, weights)
     }
 
     /// Total motion of every sensor over the base motion at `frequency_hz`, written to `out`.

@@ -1,7 +1,7 @@
 //! Joint estimates of nuisances and effects: bounded Levenberg–Marquardt on whitened residuals and priors.
 
 use super::anchor::Anchor;
-use super::cost::whitened;
+use super::cost::{expected, whitened};
 use super::responses::{Responses, Scene};
 use super::unknowns::Unknowns;
 use crate::error::Result;
@@ -44,13 +44,22 @@ impl Fitter<'_> {
     pub fn at(&self, unknowns: &Unknowns<'_>, x: &[f64], near: Option<&Responses>, iterations: usize) -> Result<Point> {
         let effects = unknowns.build(&self.scene.problem.declared, x)?;
         let responses = self.scene.responses(&effects, self.groups, near, iterations)?;
-        let residual = whitened(self.scene, &effects, &responses, self.anchor, self.groups);
+        let residual = whitened(self.scene, &effects, &responses, (self.anchor, self.anchor.amount(x)), self.groups);
         let prior: f64 = x[..unknowns.nuisances.len()].iter().map(|n| n * n).sum();
         let mut cost = residual.iter().map(|r| r * r).sum::<f64>() + prior;
         if !cost.is_finite() {
             cost = f64::INFINITY;
         }
         Ok(Point { x: x.to_vec(), responses, residual, cost })
+    }
+
+    /// The cost of `point` if only noise were left.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    pub fn expected(&self, unknowns: &Unknowns<'_>, point: &Point) -> Result<f64> {
+        let effects = unknowns.build(&self.scene.problem.declared, &point.x)?;
+        Ok(expected(self.scene, &effects, &point.responses, (self.anchor, 0.0), self.groups))
     }
 
     /// ∂ρ/∂x at `point` for the unknowns in `which`, column by column.
@@ -122,13 +131,12 @@ impl Fitter<'_> {
         Ok(point)
     }
 
-    /// Posterior standard deviations at `point`, widened where the fit is worse than its noise.
-    pub fn deviations(&self, unknowns: &Unknowns<'_>, point: &Point) -> Vec<f64> {
+    /// Posterior standard deviations at `point`, widened where the fit is worse than its noise: `level` times its cost.
+    pub fn deviations(&self, unknowns: &Unknowns<'_>, point: &Point, level: f64) -> Vec<f64> {
+        let widened = level.max(1.0).sqrt();
         let all: Vec<usize> = (0..unknowns.len()).collect();
         let jacobian = self.jacobian(unknowns, point, &all);
         let (normal, _) = normal_equations(unknowns, &jacobian, point);
-        let level = point.residual.iter().map(|r| r * r).sum::<f64>() / point.residual.len().max(1) as f64;
-        let widened = level.max(1.0).sqrt();
         match normal.llt(Side::Lower) {
             Ok(factor) => {
                 let inverse = factor.solve(Mat::<f64>::identity(normal.nrows(), normal.nrows()));

@@ -21,6 +21,7 @@ mod generic;
 mod hygiene;
 mod independence;
 mod interference;
+mod line;
 mod noise;
 mod null_twins;
 mod operators;

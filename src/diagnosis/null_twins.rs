@@ -85,7 +85,7 @@ fn null(scene: &Scene<'_>, settings: &DiagnoseSettings, seed: u64) -> Result<Nul
     let zero = vec![0.0; nuisances.len()];
     let base = search.settle(&[], &zero, &anchor, None, STEPS)?;
     let round = search.round(Ground { declared: None, base, anchor: &anchor }, &Quiet)?;
-    let n = round.base.validation.residual.len() as f64;
+    let n = round.base.expected[1];
     Ok(Null {
         gain: round.fitted.first().map_or(0.0, |f| f.gain),
         excess: (round.base.validation_cost() - n) / (2.0 * n).sqrt(),

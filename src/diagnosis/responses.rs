@@ -102,7 +102,7 @@ impl<'a> Scene<'a> {
                 for s in 0..count {
                     let rest: Vec<C64> = anchor.rest.iter().skip(s).step_by(count).copied().collect();
                     let power = spectra::smoothed(&rest, half);
-                    record.noise[s + 1].iter_mut().zip(power).for_each(|(n, p)| *n += DISTRUST * DISTRUST * p);
+                    record.distrust[s + 1] = power.iter().map(|p| DISTRUST * DISTRUST * p).collect();
                 }
             }
         }

@@ -1,6 +1,7 @@
 //! One round of the forward search: screen, fit the few, judge them on validation events, confirm the best.
 
 use super::anchor::Anchor;
+use super::line::hidden;
 use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
 use crate::effects::Instance;
@@ -12,6 +13,8 @@ use rayon::prelude::*;
 const STEPS: [usize; 3] = [6, 4, 8];
 /// Share of the best gain above which the runner-up is confirmed too.
 const CLOSE_SHARE: f64 = 0.7;
+/// Cost over that of noise alone above which the best effect is replayed a second time.
+const FAR: f64 = 1.05;
 /// Effects weaker than this many prior standard deviations are not effects.
 const TRIVIAL: f64 = 0.05;
 
@@ -132,6 +135,10 @@ impl Search<'_> {
             let fall = (base.train.cost - f.model.train.cost) / level;
             let validation = (base.validation_cost() - f.model.validation_cost()) / level;
             let charge = self.charge() * parameters(&f.instance);
+            let records =
+                |groups: &[usize]| groups.iter().map(|g| self.scene.groups[*g].records.len()).sum::<usize>() as f64;
+            let hidden = [&self.train, &self.validation].map(|groups| hidden(&f.instance) * records(groups));
+            let (fall, validation) = (fall - hidden[0], validation - hidden[1]);
             f.validation_gain = validation;
             f.gain = fall + validation - charge;
             if fall < charge || validation <= 0.0 || self.is_trivial(f) {
@@ -171,10 +178,17 @@ impl Search<'_> {
         while anchors.len() < self.settings.confirmed + 1 {
             let Some(index) = self.next_to_confirm(fitted, anchors.len()) else { break };
             let f = &mut fitted[index];
-            let anchor = self.anchored(&f.model.effects, f.model.x())?;
+            let mut anchor = self.anchored(&f.model.effects, f.model.x(), None)?;
             let expected = f.model.cost();
             f.model = self.settle(&f.model.effects, f.model.x(), &anchor, Some(&f.model), STEPS[1])?;
             f.is_confirmed = true;
+            if anchors.is_empty() && f.model.level() > FAR {
+                let next = self.anchored(&f.model.effects, f.model.x(), Some(&anchor))?;
+                let model = self.settle(&f.model.effects, f.model.x(), &next, Some(&f.model), STEPS[1])?;
+                if model.cost() < f.model.cost() {
+                    (f.model, anchor) = (model, next);
+                }
+            }
             progress.note(&format!(
                 "{} {}: cost {expected:.0} expected, {:.0} after a replay",
                 f.instance.kind,

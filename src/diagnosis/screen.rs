@@ -1,6 +1,7 @@
 //! Screening: what each effect would gain with the nuisances free to follow, linearly.
 
 use super::fit::{Fitter, ITERATIONS, Point, difference, gram, project};
+use super::line;
 use super::unknowns::Unknowns;
 use crate::effects::Instance;
 use faer::linalg::solvers::{Llt, Solve};
@@ -153,6 +154,9 @@ impl Trial<'_> {
     fn best(&self, pass: Pass) -> Option<(Vec<f64>, f64)> {
         let bounds = self.instance.bounds();
         let start = self.instance.zero().unwrap_or_else(|| self.instance.start());
+        if line::hidden(self.instance) > 0.0 && bounds.len() == 2 {
+            return self.best_line(&start, &bounds);
+        }
         let mut tries: Vec<Vec<f64>> = Vec::new();
         if bounds.is_empty() {
             tries.push(Vec::new());
@@ -174,6 +178,21 @@ impl Trial<'_> {
             Some((x, cost))
         });
         costs.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// A line: its frequency from where the residual stands out, its amplitude by score.
+    fn best_line(&self, start: &[f64], bounds: &[[f64; 2]]) -> Option<(Vec<f64>, f64)> {
+        let array = &self.fitter.scene.problem.array;
+        let name = self.instance.target.get("sensor").and_then(toml::Value::as_str);
+        let sensor = array.outputs.iter().position(|s| Some(s.as_str()) == name);
+        let frequency_hz = line::strongest(self.fitter, self.point, sensor)?;
+        let tries = (-3..=3).filter_map(|k| {
+            let at = (frequency_hz + 0.01 * f64::from(k)).clamp(bounds[1][0], bounds[1][1]);
+            let x = self.scored(&[start[0], at], bounds)?;
+            let cost = self.marginal.cost(&self.at(&x)?.residual);
+            Some((x, cost))
+        });
+        tries.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The Gauss–Newton step of the strength; what only shapes the effect stays.

@@ -37,6 +37,8 @@ pub struct Model {
     pub train: Point,
     /// At the same unknowns, validation events.
     pub validation: Point,
+    /// Costs of training and validation events if only noise were left.
+    pub expected: [f64; 2],
 }
 
 impl Model {
@@ -55,10 +57,14 @@ impl Model {
         self.train.cost + self.validation_cost()
     }
 
-    /// Mean squared whitened residual of all events.
+    /// Cost over the cost of noise alone.
     pub fn level(&self) -> f64 {
-        let count = self.train.residual.len() + self.validation.residual.len();
-        (square(&self.train.residual) + self.validation_cost()) / count.max(1) as f64
+        (square(&self.train.residual) + self.validation_cost()) / (self.expected[0] + self.expected[1])
+    }
+
+    /// Cost beyond that of noise alone.
+    pub fn excess(&self) -> f64 {
+        self.cost() - self.expected[0] - self.expected[1]
     }
 }
 
@@ -128,19 +134,20 @@ impl<'a> Search<'a> {
         let train = fitter.fit(&unknowns, start, steps)?;
         let judge = Fitter { groups: &self.validation, ..fitter };
         let validation = judge.at(&unknowns, &train.x, near.map(|m| &m.validation.responses), iterations(near))?;
-        Ok(Model { effects: effects.to_vec(), train, validation })
+        let expected = [fitter.expected(&unknowns, &train)?, judge.expected(&unknowns, &validation)?];
+        Ok(Model { effects: effects.to_vec(), train, validation, expected })
     }
 
-    /// Replays the events at `model`; without a replay, the fast column is its own anchor.
+    /// Replays the events at `x`, `before` being the anchor from which it was reached; without a replay, the fast column is its own anchor.
     ///
     /// # Errors
     /// When the replay is impossible.
-    pub fn anchored(&self, effects: &[Instance], x: &[f64]) -> Result<Anchor> {
+    pub fn anchored(&self, effects: &[Instance], x: &[f64], before: Option<&Anchor>) -> Result<Anchor> {
         let Some(replay) = self.replay else { return Ok(Anchor::fast(self.scene)) };
         let unknowns = self.unknowns(effects);
         let built = unknowns.build(&self.scene.problem.declared, x)?;
         let all: Vec<usize> = (0..self.scene.groups.len()).collect();
         let responses = self.scene.responses(&built, &all, None, ITERATIONS[0])?;
-        Anchor::replayed(self.scene, replay, &unknowns.tables(x), &responses)
+        Anchor::replayed(self.scene, replay, (&unknowns.tables(x), x), &responses, before)
     }
 }

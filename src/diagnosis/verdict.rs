@@ -26,10 +26,9 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let fitter = search.fitter(&path.anchor);
     let corrected = &path.corrected;
     let unknowns = search.unknowns(&corrected.effects);
-    let deviations = fitter.deviations(&unknowns, &corrected.train);
+    let deviations = fitter.deviations(&unknowns, &corrected.train, corrected.level());
     let excess = [&path.declared, &path.recalibrated, corrected].map(excess);
-    let expected = search.expected_cost();
-    let lost = path.recalibrated.cost() - expected;
+    let lost = path.recalibrated.excess();
     let explained_share = (!path.accepted.is_empty() && lost > 0.0)
         .then(|| ((path.recalibrated.cost() - corrected.cost()) / lost).clamp(0.0, 1.0));
     let ambiguity = ambiguity(search, path);
@@ -74,13 +73,10 @@ fn unnamed(evidence: &Evidence, verdict: Verdict) -> Option<String> {
 }
 
 fn excess(model: &Model) -> Excess {
-    let of = |residual: &[f64], cost: f64| {
-        let n = residual.len() as f64;
-        (cost - n) / (2.0 * n).sqrt()
-    };
+    let of = |cost: f64, expected: f64| (cost - expected) / (2.0 * expected).sqrt();
     Excess {
-        train: of(&model.train.residual, model.train.cost),
-        validation: of(&model.validation.residual, model.validation_cost()),
+        train: of(model.train.cost, model.expected[0]),
+        validation: of(model.validation_cost(), model.expected[1]),
     }
 }
 

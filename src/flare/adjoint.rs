@@ -55,6 +55,7 @@ impl Kernel for Reverse<'_> {
                     lambda.iter_mut().for_each(|l| l.0[lane] = 0.0);
                 }
             }
+            self.trajectory.limits.pull_back(&self.trajectory.z[t * r..(t + 1) * r], &mut lambda);
             let stages = &self.trajectory.stages[(t - 1) * 4 * r..t * 4 * r];
             pulled.fill(Lanes::ZERO);
             let mut total = lambda.clone();
@@ -72,6 +73,9 @@ impl Kernel for Reverse<'_> {
                 self.library.terms(z, drive, &mut theta[s * m..(s + 1) * m]);
                 pulled.fill(Lanes::ZERO);
                 self.library.pull_back::<FMA>(z, drive, self.xi_t, g, &mut work, &mut pulled);
+                if s > 0 {
+                    self.trajectory.limits.pull_back(z, &mut pulled);
+                }
                 for k in 0..r {
                     add(&mut total[k], &pulled[k]);
                 }

@@ -6,10 +6,12 @@
 //! ```
 //!
 //! Time is counted in samples, so the step is 1 and coefficients are of order one; the model turns them into 1/s. A state
-//! beyond the bound, or no number at all, ends its lane there: what follows is held at zero and counts as not predicted.
+//! beyond the bound, or no number at all, ends its lane there: what follows is held at zero and counts as not predicted. Soft
+//! limits ([`super::limits`]) act on the state of every stage and on the new state.
 
 use super::kernels::{Kernel, LANES, Lanes, dispatch};
 use super::library::Library;
+use super::limits::Limits;
 use super::memory::Drive;
 use std::ops::Range;
 
@@ -77,18 +79,32 @@ pub struct Trajectory {
     pub stages: Vec<Lanes>,
     /// Samples of each lane that are valid: its length, or fewer where it left the bound.
     pub valid: [usize; LANES],
+    /// The limits it was rolled out with.
+    pub limits: Limits,
 }
 
 struct Rollout<'a> {
     library: Library,
     xi: &'a [f32],
     forcing: &'a Forcing,
-    bound: f32,
     to: &'a mut Trajectory,
 }
 
-/// Rolls the group out from `z0[r]` through `forcing`, in place in `to`.
+/// Rolls the group out from `z0[r]` through `forcing`, in place in `to`, until a state leaves `bound`.
 pub fn rollout(library: Library, xi: &[f32], z0: &[Lanes], forcing: &Forcing, bound: f32, to: &mut Trajectory) {
+    rollout_limited(library, xi, z0, forcing, &Limits::hard(bound), to);
+}
+
+/// As [`rollout`], with soft limits on the states.
+pub fn rollout_limited(
+    library: Library,
+    xi: &[f32],
+    z0: &[Lanes],
+    forcing: &Forcing,
+    limits: &Limits,
+    to: &mut Trajectory,
+) {
+    to.limits.clone_from(limits);
     let r = library.latent;
     let n_step = forcing.n_step();
     to.z.clear();
@@ -98,9 +114,10 @@ pub fn rollout(library: Library, xi: &[f32], z0: &[Lanes], forcing: &Forcing, bo
     to.valid = forcing.length;
     if n_step > 0 {
         to.z[..r].copy_from_slice(z0);
-        end_lanes(&mut to.z[..r], &mut [], 0, bound, &mut to.valid);
+        limits.apply(&mut to.z[..r]);
+        end_lanes(&mut to.z[..r], &mut [], 0, limits.bound, &mut to.valid);
     }
-    dispatch(Rollout { library, xi, forcing, bound, to });
+    dispatch(Rollout { library, xi, forcing, to });
 }
 
 impl Kernel for Rollout<'_> {
@@ -129,12 +146,16 @@ impl Kernel for Rollout<'_> {
                         stages[(s + 1) * r + k] = ahead_state;
                     }
                 }
+                if s < 3 {
+                    self.to.limits.apply(&mut stages[(s + 1) * r..(s + 2) * r]);
+                }
             }
             for k in 0..r {
                 next[k] = z[k];
                 next[k].add_scaled::<FMA>(&sum[k], 1.0 / 6.0); // (1)
             }
-            end_lanes(next, stages, t, self.bound, &mut self.to.valid);
+            self.to.limits.apply(next);
+            end_lanes(next, stages, t, self.to.limits.bound, &mut self.to.valid);
         }
     }
 }

@@ -52,6 +52,10 @@ pub struct PretrainSettings {
     pub mirror: bool,
     /// Sequences begin at places drawn anew each epoch.
     pub jitter: bool,
+    /// Gauss–Newton steps on the coefficients over whole motions, taken each time; none as published.
+    pub polish_steps: usize,
+    /// Epochs between two times, counted back from the last epoch to half of them.
+    pub polish_every: usize,
     /// Epochs between validations by whole-motion rollout.
     pub validate_every: usize,
     /// Validations between checkpoints of the training state.
@@ -60,6 +64,9 @@ pub struct PretrainSettings {
     pub state_bound: f64,
     /// A candidate must also survive the validation motions multiplied by this (1 asks for the motions alone).
     pub stress_factor: f64,
+    /// The trained states are limited softly from this multiple of their range in the training simulations on; 0 for never,
+    /// as published.
+    pub limit_factor: f64,
 }
 
 impl Default for PretrainSettings {
@@ -87,10 +94,13 @@ impl Default for PretrainSettings {
             linear_start: true,
             mirror: true,
             jitter: true,
+            polish_steps: 8,
+            polish_every: 50,
             validate_every: 5,
             checkpoint_every: 5,
             state_bound: 1e3,
             stress_factor: 1.0,
+            limit_factor: 1.5,
         }
     }
 }
@@ -112,6 +122,8 @@ impl PretrainSettings {
             energy_levels: 0,
             mirror: false,
             jitter: false,
+            limit_factor: 0.0,
+            polish_steps: 0,
             ..self.clone()
         }
     }
@@ -144,6 +156,7 @@ impl PretrainSettings {
         list.count("checkpoint_every", self.checkpoint_every, 1, 1_000_000);
         list.real("state_bound", self.state_bound, "", 1.0, 1e12);
         list.real("stress_factor", self.stress_factor, "", 1.0, 100.0);
+        list.real("limit_factor", self.limit_factor, "", 0.0, 100.0);
         for (key, value) in [
             ("loss.reconstruction", self.loss.reconstruction),
             ("loss.rollout", self.loss.rollout),

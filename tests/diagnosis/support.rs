@@ -204,7 +204,7 @@ impl Replay for Replays<'_> {
                     event: &event.name,
                     dt_s: event.dt_s,
                     sensors: &names,
-                    depths_m: &[17.0],
+                    depths_m: &[array.profile.depth_m()],
                     components: &array.components,
                 };
                 let undone = effects::observe(&recording, &inputs, &built, Direction::Undo);
@@ -226,4 +226,15 @@ pub fn settings() -> DiagnoseSettings {
 /// A table from text.
 pub fn table(text: &str) -> toml::Table {
     text.parse().expect("a TOML table")
+}
+
+/// Prints the remarks.
+pub struct Loud;
+
+impl flare_pipe::progress::Progress for Loud {
+    fn start(&self, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn note(&self, text: &str) {
+        println!("      . {text}");
+    }
 }

@@ -159,38 +159,65 @@ fn strong_hyperbolic_motions_finish() {
     }
 }
 
-#[test]
-#[ignore = "a minute of CPU: the whole ensemble"]
-fn a_hundred_undrained_lotung_motions_finish() {
+/// CPU time of this thread, s; wall-clock time where the system does not tell.
+fn thread_cpu_s(start: Instant) -> f64 {
+    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
+    let nanoseconds = told.as_deref().and_then(|t| t.split_whitespace().next()).and_then(|n| n.parse::<f64>().ok());
+    nanoseconds.map_or_else(|| start.elapsed().as_secs_f64(), |n| 1e-9 * n)
+}
+
+/// Shakes the Lotung column with every `stride`-th of a hundred motions of 15 s: three in five weak (to 0.02 g), one
+/// moderate (to 0.05 g), one strong (to 0.112 g); prints CPU times by band. All must finish without single samples that stand out.
+fn ensemble(stride: usize) {
     use rayon::prelude::*;
     let column = Column::new(&lotung(200), &Analysis::default()).expect("a column");
     let start = Instant::now();
-    let runs: Vec<(f64, f64, Result<flare_pipe::column::RunSummary, String>)> = (0..100_u64)
+    let runs: Vec<(f64, f64, flare_pipe::column::RunSummary, f64)> = (0..100_u64)
         .into_par_iter()
+        .filter(|i| *i as usize % stride == *i as usize % 5)
         .map(|i| {
             let (low, high) =
                 [(0.0075, 0.02), (0.0075, 0.02), (0.0075, 0.02), (0.02, 0.05), (0.05, 0.112)][i as usize % 5];
             let pga_g = low + (high - low) * (i / 5) as f64 / 19.0;
-            let start = Instant::now();
-            let result = column.run(0.005, &motion(100 + i, pga_g, 15.0), &mut |_| Ok(()));
-            (pga_g, start.elapsed().as_secs_f64(), result.map_err(|failure| failure.to_string()))
+            let before = thread_cpu_s(start);
+            let mut rows = vec![Vec::new(); 201];
+            let summary = column
+                .run(0.005, &motion(100 + i, pga_g, 15.0), &mut |frame| {
+                    rows[0].push(frame.surface_m_s2);
+                    rows[1..].iter_mut().zip(frame.elements_m_s2).for_each(|(row, a)| row.push(*a));
+                    Ok(())
+                })
+                .unwrap_or_else(|failure| panic!("{pga_g} g: {failure}"));
+            let spent_s = thread_cpu_s(start) - before;
+            (pga_g, spent_s, summary, rows.iter().map(|row| overshoot(row)).fold(0.0, f64::max))
         })
         .collect();
-    println!("100 motions in {:.1} s", start.elapsed().as_secs_f64());
+    println!("{} motions in {:.1} s", runs.len(), start.elapsed().as_secs_f64());
     for (name, low, high) in [("weak", 0.0, 0.02), ("moderate", 0.02, 0.05), ("strong", 0.05, 0.2)] {
         let band: Vec<_> = runs.iter().filter(|(pga, ..)| *pga > low && *pga <= high).collect();
-        let mut times: Vec<f64> = band.iter().map(|(_, time, _)| *time).collect();
+        let mut times: Vec<f64> = band.iter().map(|(_, time, ..)| *time).collect();
         times.sort_by(f64::total_cmp);
-        let sums = band.iter().filter_map(|(.., r)| r.as_ref().ok());
-        let (steps, iterations) = sums.fold((0, 0), |(s, n), r| (s + r.steps, n + r.newton_iterations));
+        let (steps, iterations) =
+            band.iter().fold((0, 0), |(s, n), (_, _, r, _)| (s + r.steps, n + r.newton_iterations));
         println!(
-            "{name}: {} motions, median {:.2} s, worst {:.2} s, {:.2} iterations a step",
+            "{name}: {} motions, CPU median {:.2} s, worst {:.2} s, {:.2} iterations a step, samples stand out by {:.2}",
             band.len(),
             times[times.len() / 2],
             times[times.len() - 1],
-            iterations as f64 / steps as f64
+            iterations as f64 / steps as f64,
+            band.iter().map(|(.., o)| *o).fold(0.0, f64::max)
         );
     }
-    let failed: Vec<_> = runs.iter().filter(|(.., r)| r.is_err()).collect();
-    assert!(failed.is_empty(), "{failed:?}");
+    assert!(runs.iter().all(|(_, _, summary, overshoot)| summary.cuts < 10 && *overshoot < 0.35));
+}
+
+#[test]
+fn ten_undrained_lotung_motions_of_all_strengths_finish_without_spikes() {
+    ensemble(50);
+}
+
+#[test]
+#[ignore = "a minute of CPU: the whole ensemble"]
+fn a_hundred_undrained_lotung_motions_finish_without_spikes() {
+    ensemble(5);
 }
