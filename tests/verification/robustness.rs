@@ -132,6 +132,7 @@ fn strong_centrifuge_motions_finish() {
             peak(&surface) / 9.81,
             spike(&surface)
         );
+        assert!(summary.cuts == 0 && overshoots(&rows).0 < 0.3);
     }
 }
 
