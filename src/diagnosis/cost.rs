@@ -61,14 +61,14 @@ pub fn pairs(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    anchor: &Anchor,
+    (anchor, amount): (&Anchor, f64),
     g: usize,
 ) -> Vec<Vec<Pair>> {
     let group = &scene.groups[g];
     let n_sensor = scene.problem.array.outputs.len();
     let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
     let mut rows = vec![empty; group.records.len() * n_sensor];
-    each_bin(scene, effects, responses, anchor, g, |bin| {
+    each_bin(scene, effects, responses, (anchor, amount), g, |bin| {
         for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
             row.predicted.push(*predicted);
             row.measured.push(*measured);

@@ -78,7 +78,9 @@ pub(super) fn evidence(search: &Search<'_>, model: &Model, anchor: &Anchor) -> R
     let mut found: Vec<(Split, usize, Vec<Pair>)> = Vec::new();
     for (groups, point) in [(&search.train, &model.train), (&search.validation, &model.validation)] {
         for g in groups {
-            for (r, row) in pairs(scene, &effects, &point.responses, anchor, *g).into_iter().enumerate() {
+            for (r, row) in
+                pairs(scene, &effects, &point.responses, (anchor, anchor.amount(model.x())), *g).into_iter().enumerate()
+            {
                 found.push((scene.groups[*g].split, scene.groups[*g].records[r].event, row));
             }
         }
