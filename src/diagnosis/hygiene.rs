@@ -224,9 +224,9 @@ mod tests {
                 for (name, channels) in array.outputs.iter().zip(&mut measured) {
                     let place = Place { sensor: name, components: &array.components };
                     let Some(o) = effects::operator(&effects, &place, 1.0) else { continue };
-                    for k in 0..200 {
-                        let [a, b] = o.apply([channels[0][k], channels[1][k]]);
-                        (channels[0][k], channels[1][k]) = (a, b);
+                    let [first, second] = channels.as_mut_slice() else { panic!("two components") };
+                    for (a, b) in first.iter_mut().zip(second) {
+                        [*a, *b] = o.apply([*a, *b]);
                     }
                 }
                 for (a, b) in effects.iter().filter_map(|e| e.exchange()) {

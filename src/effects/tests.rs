@@ -122,6 +122,47 @@ fn what_a_sensor_does_is_undone() {
     }
 }
 
+/// Relative error of undoing `tables` on what they made of `motions`.
+fn undone_error(array: &Array, motions: &[Channels], tables: &[&str]) -> f64 {
+    let effects = build_all(&tables.iter().map(|t| toml::from_str(t).unwrap()).collect::<Vec<_>>()).unwrap();
+    let sensors: Vec<String> = array.sensors().map(String::from).collect();
+    let components = &array.components[..motions[0].len()];
+    let recording = Recording { event: "E1", dt_s: 0.01, sensors: &sensors, depths_m: &[10.0, 5.0, 0.0], components };
+    let recorded = observe(&recording, motions, &effects, Direction::Distort);
+    assert!(recorded != motions);
+    let back = observe(&recording, &recorded, &effects, Direction::Undo);
+    let pairs = || back.iter().flatten().flatten().zip(motions.iter().flatten().flatten());
+    (pairs().map(|(a, b)| (a - b).powi(2)).sum::<f64>() / pairs().map(|(_, b)| b * b).sum::<f64>()).sqrt()
+}
+
+#[test]
+fn several_effects_at_once_and_a_single_component_are_undone() {
+    let (array, motions) = (array(), motions());
+    let tables = [
+        "kind = 'sensor_orientation'\nsensor = 'top'\nazimuth_deg = 25.0",
+        "kind = 'clock_offset'\nsensor = 'top'\noffset_s = 0.03",
+        "kind = 'swapped_channels'\nsensor = 'mid'\nwith = 'top'",
+        "kind = 'swapped_channels'\nsensor = 'base'\nwith = 'top'",
+        "kind = 'sensor_gain'\nsensor = 'base'\nln_gain = -0.3",
+    ];
+    assert!(undone_error(&array, &motions, &tables) < 1e-3);
+    let single: Vec<Channels> = motions.iter().map(|s| s[..1].to_vec()).collect();
+    assert!(undone_error(&array, &single, &tables) < 1e-3);
+}
+
+#[test]
+fn what_is_predicted_is_what_is_recorded_without_interference() {
+    let (array, motions) = (array(), motions());
+    let hum =
+        toml::from_str("kind = 'machine_hum'\nsensor = 'top'\nfrequency_hz = 5.0\namplitude_m_s2 = 0.05").unwrap();
+    assert!(observed(&array, &motions, &hum, Direction::Predict) == motions);
+    let recorded = observed(&array, &motions, &hum, Direction::Distort);
+    assert!(recorded[..2] == motions[..2] && recorded[2] != motions[2]);
+    let gain = toml::from_str("kind = 'sensor_gain'\nsensor = 'top'\nln_gain = 0.2").unwrap();
+    let predicted = observed(&array, &motions, &gain, Direction::Predict);
+    assert!((predicted[2][0][400] / motions[2][0][400] - 0.2f64.exp()).abs() < 1e-9);
+}
+
 #[test]
 fn the_catalogue_is_consistent() {
     let mut numbers = BTreeSet::new();
