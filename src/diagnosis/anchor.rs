@@ -30,6 +30,7 @@ const FACTOR: [f64; 2] = [0.33, 3.0];
 /// Limits: (2) holds along the last step only, and no farther than its length.
 /// Check:  `a_second_anchor_knows_the_error_of_the_first_along_the_step`.
 /// Source: Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6, for (2).
+#[derive(Clone)]
 pub struct Anchor {
     /// By group and record; `None` without a replay, where the fast column stands alone.
     pub records: Vec<Vec<Option<RecordAnchor>>>,
@@ -40,6 +41,7 @@ pub struct Anchor {
 }
 
 /// K and the second part of (1), `[bin][sensor]`.
+#[derive(Clone)]
 pub struct RecordAnchor {
     /// K.
     pub factor: Vec<C64>,

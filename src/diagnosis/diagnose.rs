@@ -171,30 +171,31 @@ impl Search<'_> {
 
     /// Recalibrates, replays there, and recalibrates again, as long as that helps.
     fn recalibrated(&self, declared: &Model, anchor: &Anchor, progress: &dyn Progress) -> Result<(Model, Anchor)> {
-        let mut model = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
-        let mut best: Option<(Model, Anchor)> = None;
-        for _ in 0..MAX_ANCHORS {
-            let before = best.as_ref().map_or(anchor, |(_, anchor)| anchor);
-            let next = self.anchored(&[], model.x(), Some(before))?;
-            let seen = self.settle(&[], model.x(), &next, Some(&model), 0)?;
-            progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", model.cost(), seen.cost()));
-            let is_done = best.as_ref().is_some_and(|(b, _)| seen.cost() > 0.995 * b.cost());
-            if best.as_ref().is_none_or(|(b, _)| seen.cost() < b.cost()) {
-                best = Some((seen, next));
-            }
-            if is_done || self.replay.is_none() {
-                break;
-            }
-            let Some((seen, anchor)) = &best else { break };
-            model = self.settle(&[], seen.x(), anchor, Some(seen), STEPS[1])?;
+        let fitted = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
+        if self.replay.is_none() {
+            return Ok((fitted, anchor.clone()));
         }
-        // The last anchor reached serves, and the fit about it.
-        let (seen, anchor) = match best {
-            Some(best) => best,
-            None => (model, Anchor::fast(self.scene)),
-        };
-        let fitted = self.settle(&[], seen.x(), &anchor, Some(&seen), STEPS[1])?;
-        Ok((fitted, anchor))
+        let (mut best, mut best_anchor) = (declared.clone(), anchor.clone());
+        let mut wanted = fitted;
+        for _ in 0..MAX_ANCHORS {
+            let next = self.anchored(&[], wanted.x(), Some(&best_anchor))?;
+            let seen = self.settle(&[], wanted.x(), &next, Some(&wanted), 0)?;
+            progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", wanted.cost(), seen.cost()));
+            if seen.cost() < best.cost() {
+                let is_done = seen.cost() > 0.995 * best.cost();
+                (best, best_anchor) = (seen, next);
+                if is_done {
+                    break;
+                }
+                wanted = self.settle(&[], best.x(), &best_anchor, Some(&best), STEPS[1])?;
+            } else {
+                // The fast column promised what the nonlinear one does not keep: half the way.
+                let x: Vec<f64> = best.x().iter().zip(wanted.x()).map(|(a, b)| 0.5 * (a + b)).collect();
+                wanted = self.settle(&[], &x, &best_anchor, Some(&best), 0)?;
+            }
+        }
+        let fitted = self.settle(&[], best.x(), &best_anchor, Some(&best), STEPS[1])?;
+        Ok((fitted, best_anchor))
     }
 
     /// Takes out effects that later ones have made needless.

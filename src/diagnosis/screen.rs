@@ -8,8 +8,8 @@ use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 use rayon::prelude::*;
 
-/// Values of the strength tried between its bounds, the ends included.
-const GRID: usize = 9;
+/// Strengths tried on either side of zero, in prior standard deviations.
+const GRID: [f64; 4] = [0.4, 1.0, 2.0, 4.0];
 
 /// A point with the derivatives of the nuisances: costs of other residuals, nuisances marginalised.
 ///
@@ -163,10 +163,11 @@ impl Trial<'_> {
         } else {
             if pass == Pass::Grid {
                 let [low, high] = bounds[0];
-                for k in 0..GRID {
+                let sd = self.instance.free[0].parameter.prior_sd;
+                for size in GRID.into_iter().flat_map(|g| [g, -g]) {
                     let mut x = start.clone();
-                    x[0] = low + (high - low) * k as f64 / (GRID - 1) as f64;
-                    if x[0] != start[0] {
+                    x[0] = (start[0] + size * sd).clamp(low, high);
+                    if x[0] != start[0] && !tries.contains(&x) {
                         tries.push(x);
                     }
                 }

@@ -136,10 +136,13 @@ fn a_twin_of_the_fast_column_with_a_late_clock_is_named_and_one_without_is_not()
         let all: Vec<toml::Table> = tables.iter().chain(extra).cloned().collect();
         let twin = scene.simulated(&effects::build_all(&all).unwrap(), disturbance).unwrap();
         let replay = FastReplay(&twin);
-        diagnose(&twin, &replay, &settings(), &thresholds(), &Quiet).unwrap()
+        diagnose(&twin, &replay, &settings(), &thresholds(), &Loud).unwrap()
     };
     let late = seen(&[table("kind = 'clock_offset'\nsensor = 'mid'\noffset_s = 0.02")]);
     println!("{}", line(&late));
+    for c in &late.candidates {
+        println!("   {} {} {} {:.0} ({:.0}) {}", c.round, c.kind, c.target, c.gain, c.validation_gain, c.is_confirmed);
+    }
     assert_eq!(late.verdict, Verdict::Known);
     assert_eq!(late.effects[0].kind, "clock_offset");
     let null = seen(&[]);
@@ -153,11 +156,7 @@ struct FastReplay<'a>(&'a diagnosis::Problem);
 impl diagnosis::Replay for FastReplay<'_> {
     fn replay(&self, tables: &[toml::Table]) -> flare_pipe::error::Result<Vec<Option<Vec<Vec<f64>>>>> {
         let scene = Scene::new(self.0, &settings())?;
-        let soil: Vec<toml::Table> = tables
-            .iter()
-            .filter(|t| !t.contains_key("sensor") || t["sensor"].as_str() == Some("base"))
-            .cloned()
-            .collect();
+        let soil: Vec<toml::Table> = tables.iter().filter(|t| !t.contains_key("sensor")).cloned().collect();
         let runs = scene.simulated(&effects::build_all(&soil)?, Disturbance { seed: None, model_error: 0.0 })?;
         Ok(runs.events.into_iter().map(|e| Some(e.outputs)).collect())
     }
