@@ -269,19 +269,16 @@ mod tests {
         let mut x = bin.residual.clone();
         for i in 0..3 {
             for j in i + 1..3 {
-                let factor = sigma[j][i] / sigma[i][i];
                 let above = sigma[i];
-                sigma[j].iter_mut().zip(&above).skip(i).for_each(|(to, from)| *to -= factor * from);
+                let factor = sigma[j][i] / above[i];
+                sigma[j].iter_mut().zip(above).for_each(|(x, a)| *x -= factor * a);
                 let term = factor * x[i];
                 x[j] -= term;
             }
         }
         for i in (0..3).rev() {
-            for k in i + 1..3 {
-                let term = sigma[i][k] * x[k];
-                x[i] -= term;
-            }
-            x[i] /= sigma[i][i];
+            let known: C64 = (i + 1..3).map(|k| sigma[i][k] * x[k]).sum();
+            x[i] = (x[i] - known) / sigma[i][i];
         }
         let expected: f64 = 2.0 * bin.residual.iter().zip(&x).map(|(r, x)| (r.conj() * x).re).sum::<f64>();
         let mut rho = Vec::new();

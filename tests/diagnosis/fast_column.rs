@@ -131,11 +131,11 @@ fn an_effect_changes_the_fast_column_as_it_changes_the_nonlinear_one() {
             let e = record.event;
             let bins = |x: &[f64]| scene.bins(g, r, x);
             let nonlinear = [&before, &after].map(|runs| bins(&runs[e].as_ref().unwrap()[2]));
-            for k in 0..group.frequencies_hz.len() {
+            for (k, (start, end)) in nonlinear[0].iter().zip(&nonlinear[1]).enumerate() {
                 let fast = [&fast_before, &fast_after].map(|x| x.records[g][r].motion[3 * k + 2]);
-                let predicted = nonlinear[0][k] + fast[1] - fast[0];
-                miss += (predicted - nonlinear[1][k]).norm_sqr();
-                size += (nonlinear[1][k] - nonlinear[0][k]).norm_sqr();
+                let predicted = start + fast[1] - fast[0];
+                miss += (predicted - end).norm_sqr();
+                size += (end - start).norm_sqr();
             }
         }
     }
