@@ -1,6 +1,7 @@
-//! Seconds per stage-1 epoch at the two sizes of the applications, and the speed of one matrix product beside it.
+//! Seconds per stage-1 epoch at the two sizes of the applications, and how much of the processor its matrix products use.
 //!
-//! `cargo bench --bench flare`. Both sizes train exactly the published loss and networks (no linear path), so the seconds
+//! `cargo bench --bench flare`, with `-- --json` one JSON object a line for scripts (`benches/torch.sh` compares them with
+//! PyTorch). Both sizes train exactly the published loss and networks (no linear path), so the seconds
 //! compare with any other implementation of it: sequences × 60 samples, window 3, hidden 128-128, RK4, Adam.
 
 use faer::linalg::matmul::matmul;
@@ -38,26 +39,37 @@ fn cases(n_case: usize, n_step: usize, channels: usize) -> Vec<Case> {
         .collect()
 }
 
-/// Seconds of one epoch: the difference between a long and a short training, the best of three.
-fn epoch_s(cases: &[Case], settings: &PretrainSettings, threads: usize) -> f64 {
+/// Wall and processor seconds of one epoch: the difference between a long and a short training, the best of three.
+fn epoch_s(cases: &[Case], settings: &PretrainSettings, threads: usize) -> (f64, f64) {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("thread pool");
     let validation = [Case { id: "v".into(), ..cases[0].clone() }];
     let time = |epochs: usize| {
         let settings = PretrainSettings { epochs, ..settings.clone() };
-        let start = Instant::now();
+        let (start, busy) = (Instant::now(), processor_s());
         pool.install(|| pretrain(cases, &validation, &settings, 0, None, &Quiet)).expect("trains");
-        start.elapsed().as_secs_f64()
+        (start.elapsed().as_secs_f64(), processor_s() - busy)
     };
-    (0..3).map(|_| (time(5) - time(1)) / 4.0).fold(f64::INFINITY, f64::min)
+    let once = || {
+        let (long, short) = (time(7), time(1));
+        ((long.0 - short.0) / 6.0, (long.1 - short.1) / 6.0)
+    };
+    (0..3).map(|_| once()).fold((f64::INFINITY, f64::INFINITY), |best, now| (best.0.min(now.0), best.1.min(now.1)))
 }
 
-/// GFLOP/s of the encoder's first product on one thread.
+/// Processor seconds this process has used, where the system tells (to a hundredth of a second).
+fn processor_s() -> f64 {
+    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields: Vec<&str> = text.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
+    fields.iter().skip(11).take(2).filter_map(|f| f.parse::<f64>().ok()).sum::<f64>() / 100.0
+}
+
+/// GFLOP/s of `rows × from` by `from × to` on one thread.
 fn product_gflop_s(rows: usize, from: usize, to: usize) -> f64 {
     let a = Mat::<f32>::from_fn(rows, from, |i, j| ((i * 7 + j * 3) % 11) as f32);
     let b = Mat::<f32>::from_fn(from, to, |i, j| ((i * 5 + j) % 13) as f32);
     let mut c = Mat::<f32>::zeros(rows, to);
     let mut best = f64::INFINITY;
-    for _ in 0..50 {
+    for _ in 0..30 {
         let start = Instant::now();
         matmul(&mut c, Accum::Replace, &a, &b, 1.0, Par::Seq);
         best = best.min(start.elapsed().as_secs_f64());
@@ -65,11 +77,66 @@ fn product_gflop_s(rows: usize, from: usize, to: usize) -> f64 {
     2.0 * (rows * from * to) as f64 / best / 1e9
 }
 
+/// GFLOP/s of the products of a training step on one thread, each at the sizes of a chunk of eight segments.
+fn products_gflop_s(channels: usize, latent: usize) -> f64 {
+    let rows = 8 * 60;
+    let encoder = [3 * channels, 128, 128, latent];
+    let decoder = [latent, 128, 128, channels];
+    let (mut work, mut seconds) = (0.0, 0.0);
+    for (rows, widths, is_first_free) in [(rows, encoder, true), (2 * rows, decoder, false)] {
+        for (i, w) in widths.windows(2).enumerate() {
+            let flop = 2.0 * (rows * w[0] * w[1]) as f64;
+            // forward, derivative by the weights, derivative by the input (not of the windows)
+            let shapes = [(rows, w[0], w[1]), (w[1], rows, w[0]), (rows, w[1], w[0])];
+            for (m, k, n) in shapes.into_iter().take(if i == 0 && is_first_free { 2 } else { 3 }) {
+                work += flop;
+                seconds += flop / product_gflop_s(m, k, n);
+            }
+        }
+    }
+    work / seconds
+}
+
+/// GFLOP/s of fused multiply-adds that stay in registers: the peak of one core.
+fn peak_gflop_s() -> f64 {
+    const N: usize = 96;
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2,fma")]
+    fn work(sums: &mut [f32; N], rounds: usize) {
+        for _ in 0..rounds {
+            for s in sums.iter_mut() {
+                *s = s.mul_add(0.999_9, 1e-3);
+            }
+        }
+    }
+    #[cfg(target_arch = "x86_64")]
+    if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
+        let mut sums = std::array::from_fn(|i| i as f32);
+        let rounds = 2_000_000;
+        let mut best = f64::INFINITY;
+        for _ in 0..10 {
+            let start = Instant::now();
+            // SAFETY: both features were detected on this processor.
+            unsafe { work(&mut sums, rounds) };
+            best = best.min(start.elapsed().as_secs_f64());
+        }
+        assert!(std::hint::black_box(sums).iter().all(|s| s.is_finite()));
+        return 2.0 * (N * rounds) as f64 / best / 1e9;
+    }
+    f64::NAN
+}
+
 fn main() {
-    println!("product 480×600×128: {:.0} GFLOP/s on one thread", product_gflop_s(480, 600, 128));
+    let is_json = std::env::args().any(|a| a == "--json");
+    let peak = peak_gflop_s();
+    if !is_json {
+        println!("peak of one core {peak:.0} GFLOP/s");
+    }
     for (n_case, segments, channels, latent) in [(80, 10, 200, 8), (80, 5, 100, 14)] {
         let n_step = segments * 60 + 2;
         let cases = cases(n_case, n_step, channels);
+        let sequences = n_case * segments;
+        let product_share = products_gflop_s(channels, latent) / peak;
         for batch in [32, 64] {
             let base = PretrainSettings { window: 3, latent, channels, segments, batch, ..Default::default() };
             let settings = PretrainSettings {
@@ -81,11 +148,20 @@ fn main() {
                 ..base.as_published()
             };
             for threads in [1, 2] {
-                let seconds = epoch_s(&cases, &settings, threads);
-                println!(
-                    "{} × 60 × {channels}, r = {latent}, batch {batch}, {threads} threads: {seconds:.3} s/epoch",
-                    n_case * segments
-                );
+                let (wall_s, busy_s) = epoch_s(&cases, &settings, threads);
+                if is_json {
+                    println!(
+                        "{{\"sequences\": {sequences}, \"channels\": {channels}, \"latent\": {latent}, \"batch\": {batch}, \
+                         \"threads\": {threads}, \"wall_min\": {wall_s}, \"user_min\": {busy_s}, \
+                         \"product_share\": {product_share}}}"
+                    );
+                } else {
+                    println!(
+                        "{sequences} × 60 × {channels}, r = {latent}, batch {batch}, {threads} threads: {wall_s:.3} s/epoch, \
+                         {busy_s:.3} processor s; products at {:.0} % of peak",
+                        100.0 * product_share
+                    );
+                }
             }
         }
     }

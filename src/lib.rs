@@ -6,7 +6,7 @@
 //! `t = 0` at the first sample. Inside, everything is SI (`units` holds the only conversions).
 //!
 //! Dependencies point one way: `error units numerics registry progress → motion soil → column → dataset records metrics →
-//! flare effects → manifest → twin → report stages → cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
+//! flare effects diagnosis → manifest → twin → report stages → cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
 
 pub mod cli;
 pub mod column;

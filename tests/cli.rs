@@ -20,7 +20,16 @@ fn said(arguments: &[&str]) -> (i32, String, String) {
 }
 
 /// A small version of the smoke run: few motions and epochs.
-const SMALL: &[&str] = &["--set", "pretrain.epochs=20", "--set", "distill.epochs=5", "--set", "calibrate.epochs=10"];
+const SMALL: &[&str] = &[
+    "--set",
+    "pretrain.epochs=20",
+    "--set",
+    "distill.epochs=5",
+    "--set",
+    "calibrate.epochs=10",
+    "--set",
+    "diagnose.null_twins=20",
+];
 
 fn run_small(run_dir: &Path, more: &[&str]) -> (i32, String, String) {
     let run_dir = run_dir.to_str().expect("a path in UTF-8");
@@ -74,17 +83,48 @@ fn a_whole_run_is_cached_explained_and_predicts() {
     assert_eq!(status, 0);
     for line in plan.lines() {
         let is_cached = line.contains("cached");
-        let follows = ["calibrate", "evaluate", "report"].iter().any(|s| line.starts_with(s));
+        let follows = ["calibrate", "evaluate", "compare", "report"].iter().any(|s| line.starts_with(s));
         assert_eq!(is_cached, !follows, "{line}");
     }
     assert!(plan.contains("`calibrate.penalty`: 1.0 → 0.5"), "{plan}");
 
+    shows_the_model(dir.path());
     predicts(dir.path());
 
     let alone = tempfile::tempdir().expect("a folder");
     let (status, _, stderr) = run_small(alone.path(), &["--jobs", "1"]);
     assert_eq!(status, 0, "{stderr}");
     assert_eq!(contents(&alone.path().join("cache")), contents(&dir.path().join("cache")), "on one thread as on many");
+}
+
+#[test]
+fn two_source_models_of_a_site_are_compared_on_the_same_records() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let configs = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
+    let text = fs::read_to_string(configs.join("smoke.toml")).expect("a manifest");
+    let truth = configs.join("truth/smoke.toml").display().to_string();
+    let other = text
+        .replace("name = \"smoke\"", "name = \"softer\"")
+        .replace("truth/smoke.toml", &truth)
+        .replace("plasticity_index = 5.0", "plasticity_index = 0.0");
+    let path = dir.path().join("other.toml");
+    fs::write(&path, other).expect("written");
+    let study = format!("study.other={}", path.display());
+    let (status, _, stderr) = run_small(dir.path(), &["--pipeline", "source-study", "--set", &study]);
+    assert_eq!(status, 0, "{stderr}");
+    let site = dir.path().join("smoke");
+    let found: serde_json::Value =
+        serde_json::from_slice(&fs::read(site.join("study.json")).expect("a study")).expect("JSON");
+    assert_eq!(found["sources"], serde_json::json!(["smoke", "softer"]));
+    assert_eq!(found["held_out"].as_array().map(Vec::len), Some(4), "2 events, 2 components");
+    for row in found["held_out"].as_array().expect("a list") {
+        let [own, other] = [0, 1].map(|i| row["r2"][i]["fe"].as_f64().expect("a number"));
+        assert!(own != other, "two columns give two responses: {row}");
+    }
+    assert!(fs::read_to_string(site.join("report.html")).expect("a report").contains("Two source models"));
+    let (status, _, stderr) = run_small(dir.path(), &["--pipeline", "source-study"]);
+    assert_eq!(status, 2);
+    assert!(stderr.contains("`[study]`"), "{stderr}");
 }
 
 /// Every file below `dir` by its path there and its bytes, but for the times that stages took.
@@ -97,6 +137,26 @@ fn contents(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
         .map(|path| (relative(&path), fs::read(&path).expect("a file")))
         .filter(|(path, _)| path.extension().is_none_or(|e| e != "lock"))
         .collect()
+}
+
+fn shows_the_model(run_dir: &Path) {
+    let run_dir = run_dir.to_str().expect("UTF-8");
+    let show =
+        |more: &[&str]| said(&[&["show", "model", "configs/smoke.toml", "--run-dir", run_dir], SMALL, more].concat());
+    let (status, all, stderr) = show(&[]);
+    assert_eq!(status, 0, "{stderr}");
+    let titles: Vec<&str> = all.lines().filter(|l| l.starts_with('#')).collect();
+    assert_eq!(titles.len(), 3, "{all}");
+    for (title, start) in titles.iter().zip(["# source model: ", "# component EW: ", "# component NS: "]) {
+        assert!(title.starts_with(start), "{title}");
+    }
+    assert_eq!(all.lines().filter(|l| l.starts_with("dz6/dt = ")).count(), 3);
+    let (status, one, _) = show(&["--component", "NS"]);
+    assert_eq!((status, one.lines().count()), (0, 7));
+    assert!(all.ends_with(&one), "the same equations by themselves");
+    let (status, _, stderr) = show(&["--component", "UD"]);
+    assert_eq!(status, 2);
+    assert!(stderr.contains("`UD`"), "{stderr}");
 }
 
 fn predicts(run_dir: &Path) {
@@ -214,6 +274,25 @@ fn lists_name_what_a_manifest_can_name() {
     assert_eq!(status, 0);
     let schema: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
     assert!(schema["definitions-by-kind"]["law"]["sanisand"].is_object());
+}
+
+#[test]
+fn power_tells_before_any_data_what_could_be_seen() {
+    let (status, stdout, stderr) = said(&["power", "configs/smoke.toml", "--json"]);
+    assert_eq!(status, 0, "{stderr}");
+    let power: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    let of = |kind: &str, target: &str| {
+        let effects = power["effects"].as_array().expect("a list").iter();
+        effects.clone().find(|e| e["kind"] == kind && e["target"] == target).expect("an effect").clone()
+    };
+    assert_eq!(of("clock_offset", "surface")["is_visible"], true, "30 ms at the surface show");
+    assert!(of("clock_offset", "surface")["detectable"].as_f64().is_some_and(|s| s > 1e-4 && s < 0.05));
+    let (_, noisy, _) = said(&["power", "configs/smoke.toml", "--json", "--noise", "0.3"]);
+    let noisy: serde_json::Value = serde_json::from_str(&noisy).expect("JSON");
+    let best = |p: &serde_json::Value| p["effects"][0]["expected_score"].as_f64().expect("a number");
+    assert!(best(&noisy) < 0.2 * best(&power), "noise hides");
+    let (status, table, _) = said(&["power", "configs/smoke.toml"]);
+    assert!(status == 0 && table.lines().any(|l| l.starts_with("sensor_gain")), "{table}");
 }
 
 #[test]

@@ -1,7 +1,11 @@
 //! Trajectory files: what is written is what is read, by this program and by independent software, whole or not at all.
 
+#[path = "support/python.rs"]
+mod python_with;
+
 use flare_pipe::dataset::{Header, Sample, Trajectory, TrajectoryWriter, read_trajectory};
 use proptest::prelude::*;
+use python_with::python;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -135,45 +139,10 @@ proptest! {
     }
 }
 
-/// A Python with the packages `mcap` and `mcap-protobuf-support`, installed into the target folder when absent.
-fn python() -> Option<PathBuf> {
-    let Ok(version) = Command::new("python3").arg("--version").output() else {
-        println!("skipped: there is no python3 to read the file independently");
-        return None;
-    };
-    assert!(version.status.success());
-    let venv = Path::new(env!("CARGO_TARGET_TMPDIR")).join("mcap-reader");
-    let python = venv.join("bin/python");
-    let has_packages = |python: &Path| {
-        let check = Command::new(python).args(["-c", "import mcap.reader, mcap_protobuf.decoder"]).output();
-        check.is_ok_and(|o| o.status.success())
-    };
-    if has_packages(Path::new("python3")) {
-        return Some("python3".into());
-    }
-    if !has_packages(&python) {
-        let run = |command: &mut Command, what: &str| {
-            let out = command.output().unwrap_or_else(|e| panic!("{what}: {e}"));
-            assert!(out.status.success(), "{what}: {}", String::from_utf8_lossy(&out.stderr));
-        };
-        run(Command::new("python3").args(["-m", "venv"]).arg(&venv), "python3 -m venv");
-        let packages = [
-            "-m",
-            "pip",
-            "install",
-            "--quiet",
-            "--disable-pip-version-check",
-            "mcap==1.6.0",
-            "mcap-protobuf-support==0.6.0",
-        ];
-        run(Command::new(&python).args(packages), "pip install mcap mcap-protobuf-support");
-    }
-    Some(python)
-}
-
 #[test]
 fn independent_software_reads_the_values_that_were_written() {
-    let Some(python) = python() else { return };
+    let packages = ["mcap==1.6.0", "mcap-protobuf-support==0.6.0"];
+    let Some(python) = python("mcap-reader", "import mcap.reader, mcap_protobuf.decoder", &packages) else { return };
     let (_dir, path) = written();
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_trajectory.py");
     let out = Command::new(python).arg(script).arg(&path).output().unwrap();

@@ -1,5 +1,7 @@
 //! The three learned stages on a small synthetic column: accuracy, bounds, resumption, files.
 
+#[path = "support/python.rs"]
+mod python_with;
 #[path = "support/synthetic_column.rs"]
 mod synthetic_column;
 
@@ -8,8 +10,10 @@ use flare_pipe::flare::{
     Solver, SourceModel, SparseEncoder, calibrate, distill, predict, pretrain, reconstruct,
 };
 use flare_pipe::progress::{Progress, Quiet};
+use python_with::python;
 use std::panic::AssertUnwindSafe;
 use std::path::Path;
+use std::process::Command;
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicU64, Ordering};
 use synthetic_column::Synthetic;
@@ -139,6 +143,37 @@ fn validation_motions_twice_as_strong_and_ten_times_as_long_stay_bounded() {
 }
 
 #[test]
+fn soft_limits_keep_every_finite_motion_bounded_and_leave_trained_ones_alone() {
+    let t = trained();
+    let mut limited = t.model.clone();
+    limited.limit_softly(&t.cases[..N_TRAIN], 1.5);
+    for case in &t.cases[..N_TRAIN] {
+        assert_eq!(limited.roll_out(case).expect("bounded"), t.model.roll_out(case).expect("bounded"));
+    }
+    let dir = tempfile::tempdir().expect("folder");
+    let normalisation =
+        Normalisation { input_std_m_s2: 1.0, channel_depth_m: vec![0.0; 12], dense_std_m_s2: vec![1.0; 12] };
+    limited.save(dir.path(), &normalisation).expect("saves");
+    assert!(SourceModel::load(dir.path()).expect("loads").0 == limited, "limits are part of the checkpoint");
+    // equations that blow up as soon as they are left to themselves
+    let mut wild = limited.clone();
+    wild.parameters[..limited.mask.len()].iter_mut().for_each(|c| *c *= 25.0);
+    for model in [&limited, &wild] {
+        for case in &t.cases[N_TRAIN..] {
+            assert!(model.guard_doubled(case).is_finite && model.guard_tenfold(case).is_finite);
+            for factor in [1e2_f32, 1e9, 1e30] {
+                let huge = |x: &[f32]| x.iter().map(|v| v * factor).collect::<Vec<f32>>();
+                let case =
+                    Case { u: huge(&case.u), u_half: huge(&case.u_half), dense: huge(&case.dense), ..case.clone() };
+                assert!(model.roll_out(&case).expect("bounded").iter().all(|v| v.is_finite()), "factor {factor}");
+            }
+        }
+    }
+    let wild = SourceModel { shape: t.model.shape.clone(), ..wild };
+    assert!(t.cases[N_TRAIN..].iter().all(|case| wild.roll_out(case).is_err()), "without limits it diverges");
+}
+
+#[test]
 fn training_taken_up_from_its_checkpoint_ends_in_the_same_bytes() {
     let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
     let (train, validation) = cases.split_at(4);
@@ -263,6 +298,32 @@ fn models_come_back_from_their_files_unchanged_and_describe_themselves() {
     assert!(card.contains("\"z1 z2\"") && card.contains("dz8/dt ="), "{card}");
     std::fs::write(source.path().join("model.safetensors"), b"short").expect("writes");
     assert!(SourceModel::load(source.path()).is_err());
+}
+
+#[test]
+fn a_checkpoint_is_read_by_safetensors_for_numpy() {
+    let packages = ["safetensors==0.6.2", "numpy==2.3.3"];
+    let Some(python) = python("safetensors-reader", "import safetensors.numpy, numpy", &packages) else { return };
+    let t = trained();
+    let dir = tempfile::tempdir().expect("folder");
+    let normalisation =
+        Normalisation { input_std_m_s2: 1.0, channel_depth_m: vec![0.0; 12], dense_std_m_s2: vec![1.0; 12] };
+    t.model.save(dir.path(), &normalisation).expect("saves");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_checkpoint.py");
+    let out = Command::new(python).arg(script).arg(dir.path().join("model.safetensors")).output().expect("runs");
+    assert!(out.status.success(), "{}", String::from_utf8_lossy(&out.stderr));
+    let text = String::from_utf8_lossy(&out.stdout);
+    let library = t.model.shape.library();
+    let sizes = format!("{}x8", library.n_term());
+    assert!(text.contains(&format!("tensor\txi\tfloat32\t{sizes}\n")), "{text}");
+    assert!(text.contains(&format!("tensor\tmask\tuint8\t{sizes}\n")), "{text}");
+    assert!(text.contains("tensor\tencoder.0.weight\tfloat32\t24x36\n"), "{text}");
+    let values: Vec<f32> = text
+        .lines()
+        .filter(|line| line.starts_with("xi\t"))
+        .map(|line| line.rsplit('\t').next().and_then(|v| v.parse().ok()).expect("a number"))
+        .collect();
+    assert_eq!(values, t.model.coefficients());
 }
 
 #[test]

@@ -49,7 +49,7 @@ enum Command {
     Twins(twins::TwinsArguments),
     /// Rebuild the report from cached results
     Report(SiteArguments),
-    /// Print the latent equations of the trained model of a site
+    /// Print what is inside the trained model of a site
     Show(show::ShowArguments),
     /// Print the pipeline as a graph
     Graph(graph::GraphArguments),

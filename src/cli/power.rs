@@ -123,7 +123,7 @@ fn print(problem: &Problem, power: &Power) {
         println!(
             "{kind:28} {target:22} {expected_score:9.1} {needed_score:9.1}  {visible:7}  {}",
             match effect.detectable {
-                Some(value) => format!("{} {value:.3} {}", effect.parameter, effect.unit),
+                Some(value) => format!("{} {} {}", effect.parameter, significant(value), effect.unit),
                 None if effect.parameter.is_empty() => "–".into(),
                 None => "none up to twice the typical strength".into(),
             }
@@ -134,9 +134,23 @@ fn print(problem: &Problem, power: &Power) {
     }
 }
 
+/// Three significant figures.
+fn significant(value: f64) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return value.to_string();
+    }
+    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    format!("{value:.digits$}")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_keep_three_figures() {
+        assert_eq!([0.000_351, -0.0123, 41.26, 391.52].map(significant), ["0.000351", "-0.0123", "41.3", "392"]);
+    }
 
     #[test]
     fn motions_are_taken_evenly_and_every_split_gets_its_share() {

@@ -53,7 +53,7 @@ impl Terminal {
         let mut bars = self.by_stage.lock().unwrap_or_else(PoisonError::into_inner);
         let bar = bars.entry(stage.to_string()).or_insert_with(|| {
             let bar = self.bars.add(ProgressBar::new(total));
-            let template = "{prefix:16} {bar:32} {pos}/{len} {msg}  {per_sec}, {eta} left";
+            let template = "{prefix:22} {bar:32} {pos}/{len} {msg}  {per_sec}, {eta} left";
             bar.set_style(ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar()));
             bar.set_prefix(stage.to_string());
             bar.enable_steady_tick(Duration::from_millis(200));
@@ -124,9 +124,9 @@ pub fn plan_line(decision: &Decision) -> String {
     };
     let reason = decision.reason();
     if reason.is_empty() {
-        format!("{:16} {action}", decision.stage)
+        format!("{:22} {action}", decision.stage)
     } else {
-        format!("{:16} {action:6}  {reason}", decision.stage)
+        format!("{:22} {action:6}  {reason}", decision.stage)
     }
 }
 

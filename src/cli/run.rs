@@ -162,7 +162,11 @@ fn publish_correction(workspace: &Workspace) -> Result<()> {
     let mut manifest = workspace.table.clone();
     manifest.extend(sections);
     manifest.insert("name".into(), format!("{}-corrected", site.name).into());
-    let head = format!("# Site `{}` with the effects that its records ask for. Written by flare-pipe.\n", site.name);
+    let head = format!(
+        "# Site `{}` as its records ask for it: declared values recalibrated first, then the effects that were named.\n\
+         # Written by flare-pipe.\n",
+        site.name
+    );
     write_if_changed(&published, (head + &manifest.to_string()).as_bytes())?;
     Ok(())
 }

@@ -1,39 +1,81 @@
-//! `flare-pipe show`: the latent equations.
+//! `flare-pipe show`: what is inside the trained model of a site.
 
 use super::SiteArguments;
 use super::workspace::Workspace;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::flare::{Calibration, SourceModel};
 use crate::pipeline;
-use clap::Args;
+use clap::{Args, Subcommand};
 
-/// Which site, and before or after calibration.
+/// What to show.
 #[derive(Debug, Args)]
 pub struct ShowArguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// The latent equations of the source model and of each calibrated component, term by term in 1/s
+    Model(ModelArguments),
+}
+
+/// Which site, and which component.
+#[derive(Debug, Args)]
+struct ModelArguments {
     #[command(flatten)]
     site: SiteArguments,
-    /// Equations calibrated for this component instead of those of the source model
+    /// Only the equations calibrated for this component
     #[arg(long, value_name = "C")]
     component: Option<String>,
 }
 
-/// Prints one equation a latent variable.
+/// Prints what is asked for.
 ///
 /// # Errors
 /// When the model is not stored.
 pub fn show(arguments: &ShowArguments) -> Result<()> {
+    let What::Model(arguments) = &arguments.what;
+    model(arguments)
+}
+
+/// Prints one equation a latent variable, each block under a line that starts with `#`.
+fn model(arguments: &ModelArguments) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     let site = workspace.site();
     let (model, _) = SourceModel::load(&pipeline::output(&site, &workspace.graph, "pretrain")?)?;
-    let equations = match &arguments.component {
-        None => model.equations(),
-        Some(component) => {
-            let folder = pipeline::output(&site, &workspace.graph, &format!("calibrate.{component}"))?;
-            Calibration::load(&folder, &model.shape)?.equations(&model.shape)
-        }
-    };
-    for equation in equations {
-        println!("{equation}");
+    let n_term = model.shape.library().n_coefficient();
+    if arguments.component.is_none() {
+        let kept = model.mask.iter().filter(|k| **k).count();
+        println!("# source model: {kept} of {n_term} coefficients, 1/s");
+        model.equations().iter().for_each(|line| println!("{line}"));
     }
-    Ok(())
+    let calibrated = workspace.graph.nodes().iter().filter(|n| n.family == "calibrate");
+    let mut is_found = false;
+    for node in calibrated {
+        let component = node.instance.as_deref().unwrap_or_default();
+        if arguments.component.as_deref().is_some_and(|c| c != component) {
+            continue;
+        }
+        is_found = true;
+        let folder = match pipeline::output(&site, &workspace.graph, &node.name) {
+            Ok(folder) => folder,
+            Err(error) if arguments.component.is_some() => return Err(error),
+            Err(_) => {
+                println!("\n# component {component}: not calibrated yet");
+                continue;
+            }
+        };
+        let calibration = Calibration::load(&folder, &model.shape)?;
+        let (kept, cosine) = (calibration.terms_kept(), calibration.cosine_similarity);
+        let gap = if arguments.component.is_none() { "\n" } else { "" };
+        println!("{gap}# component {component}: {kept} of {n_term} coefficients, cosine similarity {cosine:.5}, 1/s");
+        calibration.equations(&model.shape).iter().for_each(|line| println!("{line}"));
+    }
+    match &arguments.component {
+        Some(component) if !is_found => {
+            Err(Error::new(format!("the pipeline calibrates no component `{component}`")).usage())
+        }
+        _ => Ok(()),
+    }
 }

@@ -27,12 +27,12 @@ pub fn status(arguments: &StatusArguments) -> Result<()> {
         println!("{}", serde_json::to_string_pretty(&stages).context(|| "cannot write the status".into())?);
         return Ok(());
     }
-    println!("{:16} {:10} {:14} {:>10} {:>10}", "stage", "state", "key", "time", "size");
+    println!("{:22} {:10} {:14} {:>10} {:>10}", "stage", "state", "key", "time", "size");
     for stage in stages {
         let key = stage.entry.as_ref().map_or("–".into(), |e| e.key.short().to_string());
         let time = stage.seconds.map_or("–".into(), |s| format!("{s:.1} s"));
         let size = stage.bytes.map_or("–".into(), |b| format!("{:.1} MB", b as f64 / 1e6));
-        println!("{:16} {:10} {:14} {:>10} {:>10}", stage.stage, stage.state, key, time, size);
+        println!("{:22} {:10} {:14} {:>10} {:>10}", stage.stage, stage.state, key, time, size);
     }
     Ok(())
 }

@@ -21,6 +21,9 @@ pub struct Analysis {
     pub tolerance: f64,
     /// Newton iterations allowed per increment before it is halved.
     pub max_iterations: u32,
+    /// Largest change of a nodal acceleration within an increment, as a share of the largest acceleration so far; a
+    /// larger one is taken in shorter increments, down to an eighth of `max_step_s`.
+    pub max_jump: f64,
 }
 
 impl Default for Analysis {
@@ -33,6 +36,7 @@ impl Default for Analysis {
             hht_alpha: -0.05,
             tolerance: 1e-4,
             max_iterations: 12,
+            max_jump: 0.2,
         }
     }
 }
@@ -52,6 +56,7 @@ impl Analysis {
         check("output_step_s", self.output_step_s, " s", 1e-6, 1.0);
         check("hht_alpha", self.hht_alpha, "", -1.0 / 3.0, 0.0);
         check("tolerance", self.tolerance, "", 1e-12, 0.05);
+        check("max_jump", self.max_jump, "", 0.01, f64::INFINITY);
         check("max_iterations", f64::from(self.max_iterations), "", 2.0, 1000.0);
         problems
     }

@@ -84,6 +84,7 @@ impl Mesh {
         law.start_all(&points, &mut start, &mut elastic_pa).map_err(|(i, error)| (*error).at(place(cuts[i].layer)))?;
         let first = self.elements.len();
         let container = profile.features.container;
+        let declared_s = profile.rayleigh.beta_s + law.viscosity_s();
         // Rayleigh damping that gives the law's ratio at f and 5 f of the column.
         let (w1, w2) = (TAU * self.frequency_hz, 5.0 * TAU * self.frequency_hz);
         for (i, (cut, elastic_pa)) in (first..).zip(cuts.iter().zip(elastic_pa)) {
@@ -105,7 +106,7 @@ impl Mesh {
                 elastic_pa,
                 pore_pa: if point.depth_m > profile.water_table_m { law.pore_stiffness_pa() } else { 0.0 },
                 container_pa: container.stiffness_pa,
-                beta_s: if around.slips() { 0.0 } else { profile.rayleigh.beta_s + 2.0 * ratio / (w1 + w2) },
+                beta_s: if around.slips() { 0.0 } else { declared_s + 2.0 * ratio / (w1 + w2) },
             });
         }
         self.stretches.push(Stretch { elements: first..self.elements.len(), law, start });

@@ -6,6 +6,12 @@
 //! integrated base motion; everything handed out is **absolute** acceleration. Mass-proportional damping acts on the
 //! velocity relative to the base. Knows no files.
 //!
+//! Steps are HHT-α steps of at most `max_step_s`, halved where Newton's iteration or a law asks for it, and where an
+//! acceleration front passes ([`Analysis::max_jump`]): soil that unloads stiffer than it loads carries jumps of the
+//! acceleration, and an implicit step across many elements overshoots behind them by as much as the jump. Without the
+//! control single samples stood out by 1.2 times a channel's peak at depth; with it by less than 0.3, for a tenth to a
+//! quarter more steps. Check: `tests/verification/robustness.rs`: no spikes at any depth, independence of mesh and step.
+//!
 //! On a compliant base ([`Features::base_impedance_ratio`] q > 0) the base is a node of its own, and the motion handed in
 //! is the outcrop's: with e^{iωt},
 //!

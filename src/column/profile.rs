@@ -79,17 +79,17 @@ impl Profile {
             }
         };
         for (i, layer) in self.layers.iter().enumerate() {
-            let key = |name: &str| format!("layer.{i}.{name}");
+            let key = |name: &str| format!("layer[{i}].{name}");
             check(key("thickness_m"), layer.thickness_m, " m", 0.01, 2000.0);
-            check(key("density_kg_m3"), layer.density_kg_m3, " kg/m³", 1050.0, 4000.0);
+            check(key("density_kg_m3"), layer.density_kg_m3, " kg/m³", 1050.0, 3500.0);
             check(key("vs_m_s"), layer.vs_m_s, " m/s", 20.0, 5000.0);
-            check(key("k0"), layer.k0, "", 0.05, 5.0);
+            check(key("k0"), layer.k0, "", 0.1, 3.0);
         }
         check("water_table_m".into(), self.water_table_m, " m", 0.0, 1e6);
         check("rayleigh.alpha_1_s".into(), self.rayleigh.alpha_1_s, " 1/s", 0.0, 100.0);
-        check("rayleigh.beta_s".into(), self.rayleigh.beta_s, " s", 0.0, 1.0);
+        check("rayleigh.beta_s".into(), self.rayleigh.beta_s, " s", 0.0, 0.1);
         if self.layers.is_empty() {
-            problems.push(("layer".into(), "must name at least one layer".into()));
+            problems.push(("layer".into(), "must stand at least once, surface down".into()));
         }
         if self.elements < self.layers.len() || self.elements > 100_000 {
             let range = format!("{}…100000 (at least one per layer)", self.layers.len());

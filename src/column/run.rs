@@ -30,8 +30,10 @@ pub struct Frame<'a> {
 pub struct RunSummary {
     /// Accepted increments.
     pub steps: u64,
-    /// Increments that had to be shortened.
+    /// Increments that had to be shortened to be solved.
     pub cuts: u64,
+    /// Increments that were shortened to follow an acceleration front.
+    pub fronts: u64,
     /// Newton iterations: law evaluations of the whole column in accepted increments.
     pub newton_iterations: u64,
 }
@@ -89,17 +91,21 @@ impl Column {
                         }
                     }
                     Err(cut) => {
-                        summary.cuts += 1;
                         easy = 0;
                         step_s = 0.5 * dt;
+                        let (node, cause) = match cut {
+                            Cut::Front => {
+                                summary.fronts += 1;
+                                continue;
+                            }
+                            Cut::Law { element, refusal } => (element, Cause::Law(refusal)),
+                            Cut::Unbalanced { node, share } => (node, Cause::Unbalanced { share, step_s: dt }),
+                            Cut::Singular => (0, Cause::Singular),
+                        };
+                        summary.cuts += 1;
                         if step_s < analysis.min_step_s {
-                            let (element, cause) = match cut {
-                                Cut::Law { element, refusal } => (element, Cause::Law(refusal)),
-                                Cut::Unbalanced { node, share } => (node, Cause::Unbalanced { share, step_s: dt }),
-                                Cut::Singular => (0, Cause::Singular),
-                            };
                             // A compliant base is a node without an element below.
-                            let element = element.min(self.mesh.elements.len() - 1);
+                            let element = node.min(self.mesh.elements.len() - 1);
                             return Err(fail(time_s, self.mesh.elements[element].depth_m, cause));
                         }
                     }

@@ -31,13 +31,26 @@ pub(super) struct Stepper<'a> {
     structure: Option<Oscillator>,
     /// Largest dynamic stress so far: the scale of the residual.
     scale_pa: f64,
+    /// Largest absolute acceleration so far: the scale of the jumps.
+    scale_m_s2: f64,
 }
+
+/// Shortest increment, over the largest, that an acceleration front is worth.
+const FRONT_SHARE: f64 = 0.126;
 
 /// Why an increment must be halved.
 pub(super) enum Cut {
-    Law { element: usize, refusal: Refusal },
-    Unbalanced { node: usize, share: f64 },
+    Law {
+        element: usize,
+        refusal: Refusal,
+    },
+    Unbalanced {
+        node: usize,
+        share: f64,
+    },
     Singular,
+    /// An acceleration jumps: the increment is balanced, but too coarse for what passes.
+    Front,
 }
 
 impl<'a> Stepper<'a> {
@@ -71,6 +84,7 @@ impl<'a> Stepper<'a> {
             gamma: vec![0.0; n],
             matrix: BlockTridiagonal::new(n_node),
             structure: Oscillator::new(&mesh.structure, base_m_s2),
+            scale_m_s2: base_m_s2.abs(),
             scale_pa: 1e-7 * deepest_pa.max(1.0),
         }
     }
@@ -94,7 +108,11 @@ impl<'a> Stepper<'a> {
             let (node, size) = self.residual(dt, base);
             let share = size / self.scale_pa;
             if share <= analysis.tolerance {
-                self.accept();
+                let shortest_s = (FRONT_SHARE * analysis.max_step_s).max(2.0 * analysis.min_step_s);
+                if dt > shortest_s && self.jump() > analysis.max_jump * self.scale_m_s2 {
+                    return Err(Cut::Front);
+                }
+                self.accept(base);
                 return Ok(iteration);
             }
             if !share.is_finite() || iteration == analysis.max_iterations {
@@ -261,7 +279,15 @@ impl<'a> Stepper<'a> {
         (node, size)
     }
 
-    fn accept(&mut self) {
+    /// Largest change of a horizontal acceleration within the increment.
+    fn jump(&self) -> f64 {
+        let changes = self.acceleration.iter().zip(&self.trial_acceleration).map(|(a, b)| (b[0] - a[0]).abs());
+        changes.fold(0.0, f64::max)
+    }
+
+    fn accept(&mut self, base: f64) {
+        let largest = self.trial_acceleration.iter().fold(base.abs(), |m, a| m.max((a[0] + base).abs()));
+        self.scale_m_s2 = self.scale_m_s2.max(largest);
         if let Some(structure) = &mut self.structure {
             structure.accept(self.delta[0][0]);
         }

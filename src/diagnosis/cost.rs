@@ -1,6 +1,7 @@
 //! The errors-in-variables cost: residuals whitened by the noise of outputs and input as the model passes it on.
 
 use super::anchor::Anchor;
+use super::generic::Pair;
 use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
 use crate::effects::Effect;
@@ -55,6 +56,27 @@ pub fn expected(
     groups.par_iter().map(of_group).collect::<Vec<f64>>().iter().sum()
 }
 
+/// What is predicted and what was recorded in group `g`, `[record][sensor]`; interference is out of both.
+pub fn pairs(
+    scene: &Scene<'_>,
+    effects: &[Box<dyn Effect>],
+    responses: &Responses,
+    (anchor, amount): (&Anchor, f64),
+    g: usize,
+) -> Vec<Vec<Pair>> {
+    let group = &scene.groups[g];
+    let n_sensor = scene.problem.array.outputs.len();
+    let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
+    let mut rows = vec![empty; group.records.len() * n_sensor];
+    each_bin(scene, effects, responses, (anchor, amount), g, |bin| {
+        for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
+            row.predicted.push(*predicted);
+            row.measured.push(*measured);
+        }
+    });
+    rows.chunks_exact(n_sensor.max(1)).map(<[Pair]>::to_vec).collect()
+}
+
 /// Sets up every frequency of group `g` in turn.
 fn each_bin(
     scene: &Scene<'_>,
@@ -81,7 +103,7 @@ fn each_bin(
             for r in 0..n_record {
                 let row = r * n_sensor + s;
                 bin.model[row].fill(C64::default());
-                bin.residual[row] = C64::default();
+                bin.predicted[row] = C64::default();
                 for q in 0..n_record {
                     let weight = entry(operator, components[r], components[q]);
                     if weight == C64::default() {
@@ -99,17 +121,18 @@ fn each_bin(
                     }
                     predicted += arrival * inputs[q][k];
                     motion += arrival;
-                    bin.residual[row] -= weight * predicted;
+                    bin.predicted[row] += weight * predicted;
                     for p in 0..n_record {
                         bin.model[row][p] += weight * motion * entry(&undone, components[q], components[p]);
                     }
                 }
                 let record = &group.records[r];
                 let source = sources[s + 1];
-                bin.residual[row] += record.channels[source][k];
+                bin.measured[row] = record.channels[source][k];
                 if let Some(added) = &removed[r][source] {
-                    bin.residual[row] -= added[k];
+                    bin.measured[row] -= added[k];
                 }
+                bin.residual[row] = bin.measured[row] - bin.predicted[row];
                 bin.sensor_noise[row] = record.noise[source][k];
                 bin.noise[row] = record.noise[source][k] + record.distrust[source][k];
             }
@@ -124,6 +147,8 @@ fn each_bin(
 /// One frequency of one event.
 struct Bin {
     model: Vec<Vec<C64>>,
+    predicted: Vec<C64>,
+    measured: Vec<C64>,
     residual: Vec<C64>,
     /// With the distrust.
     noise: Vec<f64>,
@@ -135,6 +160,8 @@ impl Bin {
     fn new(n_input: usize, n_row: usize) -> Self {
         Self {
             model: vec![vec![C64::default(); n_input]; n_row],
+            predicted: vec![C64::default(); n_row],
+            measured: vec![C64::default(); n_row],
             residual: vec![C64::default(); n_row],
             noise: vec![1.0; n_row],
             sensor_noise: vec![1.0; n_row],
@@ -242,9 +269,9 @@ mod tests {
         let mut x = bin.residual.clone();
         for i in 0..3 {
             for j in i + 1..3 {
+                let factor = sigma[j][i] / sigma[i][i];
                 let above = sigma[i];
-                let factor = sigma[j][i] / above[i];
-                sigma[j].iter_mut().zip(above).for_each(|(x, a)| *x -= factor * a);
+                sigma[j].iter_mut().zip(&above).skip(i).for_each(|(to, from)| *to -= factor * from);
                 let term = factor * x[i];
                 x[j] -= term;
             }

@@ -8,13 +8,18 @@
 //! of null twins of the same array.
 
 mod anchor;
+mod coherence;
 mod comparison;
 mod cost;
 mod curves;
 mod diagnose;
+mod evidence;
 mod fast_column;
 mod fit;
 mod floor;
+mod generic;
+mod hygiene;
+mod independence;
 mod interference;
 mod line;
 mod noise;
@@ -23,6 +28,7 @@ mod operators;
 mod outcome;
 mod power;
 mod problem;
+mod repeatable;
 mod responses;
 mod round;
 mod screen;
@@ -33,11 +39,16 @@ mod spectra;
 mod unknowns;
 mod verdict;
 
+pub use coherence::{Coherent, Trace, coherent};
 pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use curves::{Curve, Curves};
 pub use diagnose::diagnose;
+pub use evidence::Evidence;
 pub use fast_column::{FastColumn, Grid, March, element_count};
 pub use floor::noise_deviation_m_s2;
+pub use generic::{GenericCorrection, Pair, fit as fit_generic};
+pub use hygiene::{Shot, Suspicion, hygiene};
+pub use independence::{Independence, independence};
 pub use noise::noise;
 pub use null_twins::{drawn, thresholds};
 pub use outcome::{
@@ -46,6 +57,7 @@ pub use outcome::{
 };
 pub use power::{Confusion, Power, Sensitivity, power};
 pub use problem::{Event, NoiseSpectrum, Problem, Replay};
+pub use repeatable::{Partition, partition};
 pub use responses::Scene;
 pub use settings::DiagnoseSettings;
 pub use simulated::Disturbance;

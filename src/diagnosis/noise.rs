@@ -1,7 +1,7 @@
 //! Noise of each sensor from its own record: what it shows before the event, or beyond the band of the shaking.
 
 use super::problem::NoiseSpectrum;
-use crate::metrics::rms;
+use crate::metrics::{median, rms};
 use crate::numerics::filter;
 use crate::records::Record;
 use realfft::RealFftPlanner;
@@ -10,15 +10,17 @@ use std::f64::consts::PI;
 /// Shortest quiet stretch before the event that tells noise, s.
 const QUIET_S: f64 = 4.0;
 /// Blocks by which the quiet stretch is followed, s.
-const BLOCK_S: f64 = 0.5;
-/// Growth of a block's RMS that ends the quiet stretch.
-const GROWTH: f64 = 1.6;
-/// Largest share of the peak that a quiet stretch may reach.
-const QUIET_SHARE: f64 = 0.1;
+const BLOCK_S: f64 = 1.0;
+/// Growth of a block's RMS over the median of those before that ends the quiet stretch.
+const GROWTH: f64 = 2.5;
+/// Largest RMS of a block of the quiet stretch over the peak; more is the coda of an earlier event, to which the soil responds.
+const QUIET_SHARE: f64 = 0.02;
 /// Segments of the averaged spectrum, s.
 const SEGMENT_S: f64 = 2.56;
 /// Band without shaking, as shares of the highest frequency.
 const EMPTY_BAND: [f64; 2] = [0.86, 0.98];
+/// Share of the segments, those that shake least, in which that band is looked at.
+const CALMEST_SHARE: f64 = 0.25;
 /// Smallest noise where only that band tells, as a share of the record's RMS.
 const SMALLEST_SHARE: f64 = 0.005;
 
@@ -29,7 +31,7 @@ const SMALLEST_SHARE: f64 = 0.005;
 /// ```
 ///
 /// over the stretch before the event where no sensor's RMS grows; where there is no such stretch of four seconds, the mean
-/// of (1) above 86 % of the highest frequency, taken as white.
+/// of (1) above 86 % of the highest frequency in the quarter of the segments that shake least, taken as white.
 ///
 /// Limits: instruments whose filters act below the highest frequency record less noise there than in the band of the
 /// shaking; then only records with a pre-event stretch tell it.
@@ -51,12 +53,7 @@ fn quiet_samples(record: &Record) -> Option<usize> {
         let fast = filter::zero_phase(x, record.dt_s, |f| 1.0 - 1.0 / (1.0 + (f / 0.5).powi(8)));
         let peak = fast.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         let blocks: Vec<f64> = fast.chunks_exact(block).map(rms).collect();
-        let mut sum = 0.0;
-        let grows = |(i, r): (usize, &f64)| {
-            let mean = if i == 0 { *r } else { sum / i as f64 };
-            sum += r;
-            *r > GROWTH * mean || *r > QUIET_SHARE * peak
-        };
+        let grows = |(i, r): (usize, &f64)| *r > GROWTH * median(&blocks[..i.max(1)]) || *r > QUIET_SHARE * peak;
         // The block before the growth may already hold its beginning.
         blocks.iter().enumerate().position(grows).unwrap_or(blocks.len()).saturating_sub(1) * block
     };
@@ -64,29 +61,34 @@ fn quiet_samples(record: &Record) -> Option<usize> {
     (shortest as f64 * record.dt_s >= QUIET_S).then_some(shortest)
 }
 
-/// (1).
-fn averaged(x: &[f64], dt_s: f64) -> NoiseSpectrum {
+/// Segments of `x` half a length apart, each as in (1) before the mean; and their length.
+fn segments(x: &[f64], dt_s: f64) -> (Vec<Vec<f64>>, usize) {
     let length = ((SEGMENT_S / dt_s).round() as usize).clamp(2, x.len().max(2));
     let window: Vec<f64> =
         (0..length).map(|i| 0.5 - 0.5 * (2.0 * PI * (i as f64 + 0.5) / length as f64).cos()).collect();
     let scale = 2.0 * dt_s / window.iter().map(|w| w * w).sum::<f64>();
     let plan = RealFftPlanner::<f64>::new().plan_fft_forward(length);
     let mut spectrum = plan.make_output_vec();
-    let mut power = vec![0.0; spectrum.len()];
-    let mut count = 0.0;
-    let mut start = 0;
-    while start + length <= x.len() {
+    let mut found = Vec::new();
+    for start in (0..(x.len() + 1).saturating_sub(length)).step_by((length / 2).max(1)) {
         let segment = &x[start..start + length];
         let mean = segment.iter().sum::<f64>() / length as f64;
         let mut tapered: Vec<f64> = segment.iter().zip(&window).map(|(x, w)| (x - mean) * w).collect();
         plan.process(&mut tapered, &mut spectrum).expect("buffers made by the plan itself");
-        power.iter_mut().zip(&spectrum).for_each(|(p, v)| *p += scale * v.norm_sqr());
-        count += 1.0;
-        start += length / 2;
+        found.push(spectrum.iter().map(|v| scale * v.norm_sqr()).collect());
     }
-    power.iter_mut().for_each(|p| *p /= f64::max(count, 1.0));
+    (found, length)
+}
+
+/// (1), smoothed over a fifth of the frequency to either side.
+fn averaged(x: &[f64], dt_s: f64) -> NoiseSpectrum {
+    let (found, length) = segments(x, dt_s);
+    let mut power = vec![0.0; length / 2 + 1];
+    for segment in &found {
+        power.iter_mut().zip(segment).for_each(|(p, s)| *p += s / found.len() as f64);
+    }
     // The mean was taken out of each segment.
-    power[0] = power.get(1).copied().unwrap_or(power[0]);
+    power[0] = power[1];
     let smooth = |k: usize| {
         let half = 1 + k / 5;
         let range = k.saturating_sub(half)..(k + half + 1).min(power.len());
@@ -97,9 +99,12 @@ fn averaged(x: &[f64], dt_s: f64) -> NoiseSpectrum {
 }
 
 fn beyond_the_band(x: &[f64], dt_s: f64) -> NoiseSpectrum {
-    let spectrum = averaged(x, dt_s);
-    let highest = spectrum.power.len() as f64;
-    let empty = &spectrum.power[(EMPTY_BAND[0] * highest) as usize..(EMPTY_BAND[1] * highest).ceil() as usize];
+    let (mut found, length) = segments(x, dt_s);
+    let [first, last] = EMPTY_BAND.map(|share| (share * (length / 2) as f64) as usize);
+    let shaking = |segment: &[f64]| segment[..first].iter().sum::<f64>();
+    found.sort_by(|a, b| shaking(a).total_cmp(&shaking(b)));
+    found.truncate(((CALMEST_SHARE * found.len() as f64).ceil() as usize).max(1));
+    let empty: Vec<f64> = found.iter().flat_map(|segment| &segment[first..=last]).copied().collect();
     let density = empty.iter().sum::<f64>() / empty.len().max(1) as f64;
     let deviation = (density / (2.0 * dt_s)).sqrt().max(SMALLEST_SHARE * rms(x)).max(f64::MIN_POSITIVE.sqrt());
     NoiseSpectrum::white(deviation, dt_s)
@@ -147,6 +152,20 @@ mod tests {
                     assert!((0.5..2.0).contains(&ratio), "onset {onset_s} s, {f} Hz: {ratio}");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn chatter_during_the_shaking_is_not_taken_for_noise() {
+        let chatter = white(4000, "chatter");
+        let with_chatter = |s: usize| -> Vec<f64> {
+            let noise = white(4000, &format!("n{s}"));
+            let envelope = |i: usize| 0.05 * (-((i as f64 - 800.0) / 400.0).powi(2)).exp();
+            (0..4000).map(|i| 0.01 * noise[i] + envelope(i) * chatter[i]).collect()
+        };
+        for spectrum in super::noise(&record(0.0, &[with_chatter(0), with_chatter(1)])) {
+            let ratio = spectrum.at(3.0) / (2.0 * DT_S * 1e-4);
+            assert!((0.7..1.4).contains(&ratio), "{ratio}");
         }
     }
 

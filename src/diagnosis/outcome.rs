@@ -1,5 +1,6 @@
 //! What a diagnosis says: verdict, named effects, what else was considered, and what could still hide.
 
+use super::evidence::Evidence;
 use crate::effects::Class;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -161,6 +162,9 @@ pub struct Diagnosis {
     pub upper_bounds: Vec<UpperBound>,
     /// Structure that remains after the correction.
     pub remainder: Remainder,
+    /// What the residuals of the corrected model say by themselves.
+    #[serde(default)]
+    pub evidence: Evidence,
     /// Remarks for people.
     pub notes: Vec<String>,
 }

@@ -1,6 +1,7 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
 use super::diagnose::Path;
+use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
 use super::outcome::{
     Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound, Verdict,
@@ -34,6 +35,8 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let mut notes = Vec::new();
     let verdict = verdict(search, path, thresholds, explained_share, excess[2], &ambiguity, &mut notes);
     let is_named = !path.accepted.is_empty();
+    let evidence = evidence(search, corrected, &path.anchor)?;
+    notes.extend(unnamed(&evidence, verdict));
     let nuisances = unknowns.nuisance_tables(&path.recalibrated.x()[..search.nuisances.len()]);
     let corrected_nuisances = unknowns.nuisance_tables(&corrected.x()[..search.nuisances.len()]);
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
@@ -45,14 +48,27 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
         corrected_nuisances,
         candidates: path.candidates.clone(),
         explained_share,
-        input_coherent_share: None,
+        input_coherent_share: input_coherent_share(search, &path.recalibrated),
         declared: excess[0],
         recalibrated: excess[1],
         corrected: excess[2],
         tolerance_alarms: tolerance_alarms(search, corrected, &deviations, thresholds),
         upper_bounds,
         remainder: remainder(search, corrected),
+        evidence,
         notes,
+    })
+}
+
+/// What a correction without a name would take out, where the verdict is that nothing named explains the records.
+fn unnamed(evidence: &Evidence, verdict: Verdict) -> Option<String> {
+    let [before, after] =
+        evidence.generic.values().fold([0.0, 0.0], |sum, c| [sum[0] + c.validation[0], sum[1] + c.validation[1]]);
+    (verdict == Verdict::Unknown && before > 0.0).then(|| {
+        format!(
+            "a smooth factor for each sensor, which is no physics, would take {:.0} % of the residual's power off the validation events",
+            100.0 * (1.0 - after / before)
+        )
     })
 }
 

@@ -17,7 +17,7 @@ pub(super) const ENTRY: Entry = Entry {
         number: 13,
         class: Class::Sensor,
         parameters: PARAMETERS,
-        instances: instances,
+        instances,
         confused_with: &["layer_velocity", "sensor_depth", "instrument_low_pass"],
         key: "phase exactly linear in frequency at unit modulus; at the input sensor all outputs shift alike",
     },

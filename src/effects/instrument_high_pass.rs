@@ -16,7 +16,7 @@ pub(super) const ENTRY: Entry = Entry {
         number: 17,
         class: Class::Sensor,
         parameters: PARAMETERS,
-        instances: instances,
+        instances,
         confused_with: &["baseline_tilt", "surface_wave"],
         key: "phase advance at low frequencies against the other sensors",
     },

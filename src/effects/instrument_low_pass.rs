@@ -16,7 +16,7 @@ pub(super) const ENTRY: Entry = Entry {
         number: 18,
         class: Class::Sensor,
         parameters: PARAMETERS,
-        instances: instances,
+        instances,
         confused_with: &["frequency_dependent_damping", "clock_offset", "small_strain_damping"],
         key: "one channel only, whatever its depth",
     },

@@ -55,7 +55,7 @@ pub(super) fn scale(layer: &mut Layer, key: &str, default: f64, factor: f64) {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::column::{Rayleigh, Vertical};
+    use crate::column::{Features, Rayleigh, Vertical};
 
     /// Two layers of 2 m.
     pub(crate) fn profile(law_kind: &str) -> Profile {
@@ -73,7 +73,7 @@ pub(super) mod tests {
             vertical: Vertical::Free,
             rayleigh: Rayleigh::default(),
             elements: 10,
-            features: Default::default(),
+            features: Features::default(),
         }
     }
 

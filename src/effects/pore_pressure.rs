@@ -93,16 +93,12 @@ struct PorePressure {
     #[serde(default)]
     top_m: f64,
     /// Bottom of the range, m.
-    #[serde(default = "whole_profile")]
+    #[serde(default = "super::bottomless")]
     bottom_m: f64,
 }
 
 fn usual_exponent() -> f64 {
     1.5
-}
-
-fn whole_profile() -> f64 {
-    1e4
 }
 
 impl PorePressure {

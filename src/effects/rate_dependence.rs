@@ -61,12 +61,8 @@ struct RateDependence {
     #[serde(default)]
     top_m: f64,
     /// Bottom of the range, m.
-    #[serde(default = "whole_profile")]
+    #[serde(default = "super::bottomless")]
     bottom_m: f64,
-}
-
-fn whole_profile() -> f64 {
-    1e4
 }
 
 impl RateDependence {

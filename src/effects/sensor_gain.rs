@@ -16,7 +16,7 @@ pub(super) const ENTRY: Entry = Entry {
         number: 11,
         class: Class::Sensor,
         parameters: PARAMETERS,
-        instances: instances,
+        instances,
         confused_with: &["small_strain_damping", "compliant_base"],
         key: "a flat ratio of spectra with zero phase, on one channel, in all events",
     },

@@ -16,7 +16,7 @@ pub(super) const ENTRY: Entry = Entry {
         number: 14,
         class: Class::Sensor,
         parameters: PARAMETERS,
-        instances: instances,
+        instances,
         confused_with: &["directional_anisotropy"],
         key: "coherence with the other component of the same sensor, antisymmetric, down to the lowest frequencies",
     },

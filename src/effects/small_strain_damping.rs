@@ -100,7 +100,9 @@ mod tests {
         let mut profile = profile(kind);
         profile.rayleigh.alpha_1_s = alpha_1_s;
         for layer in &mut profile.layers {
-            ratio.map(|r| layers::set(layer, "damping_ratio", r));
+            if let Some(ratio) = ratio {
+                layers::set(layer, "damping_ratio", ratio);
+            }
         }
         SmallStrainDamping { multiplier }.edit(&mut profile, &Situation::default());
         profile

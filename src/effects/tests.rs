@@ -1,7 +1,7 @@
 //! The whole catalogue: what holds for every effect.
 
 use super::*;
-use crate::column::{Analysis, Column, Layer, Rayleigh, Vertical};
+use crate::column::{Analysis, Column, Features, Layer, Rayleigh, Vertical};
 use std::collections::BTreeSet;
 
 fn array() -> Array {
@@ -20,13 +20,21 @@ fn array() -> Array {
             vertical: Vertical::Free,
             rayleigh: Rayleigh { alpha_1_s: 0.1, beta_s: 1e-4 },
             elements: 40,
-            features: Default::default(),
+            features: Features::default(),
         },
         input: "base".into(),
         outputs: vec!["mid".into(), "top".into()],
         depths_m: vec![5.0, 0.0],
         components: vec!["EW".into(), "NS".into()],
     }
+}
+
+/// The same in a container, and instances of both.
+fn all_instances() -> Vec<(Array, Instance)> {
+    let mut contained = array();
+    contained.profile.vertical = Vertical::Restrained;
+    let of = |array: Array| instances(&array).into_iter().map(move |i| (array.clone(), i)).collect::<Vec<_>>();
+    [of(array()), of(contained)].concat()
 }
 
 fn motions() -> Vec<Channels> {
@@ -50,9 +58,9 @@ fn observed(array: &Array, motions: &[Channels], table: &toml::Table, direction:
 
 #[test]
 fn every_effect_of_zero_strength_leaves_everything_bit_identical() {
-    let (array, motions) = (array(), motions());
+    let motions = motions();
     let situation = Situation { component: Some(1), order: Some(2.5) };
-    for instance in instances(&array) {
+    for (array, instance) in all_instances() {
         let Some(zero) = instance.zero() else { continue };
         let table = instance.at(&zero);
         let mut profile = array.profile.clone();
@@ -68,13 +76,10 @@ fn every_effect_of_zero_strength_leaves_everything_bit_identical() {
 
 #[test]
 fn every_effect_does_something_where_it_is_drawn_and_the_column_still_runs() {
-    let (array, motions) = (array(), motions());
+    let motions = motions();
     let mut random = crate::numerics::random::stream(3, "catalogue test");
     let mut seen = BTreeSet::new();
-    // A container is only looked for around a model that is restrained vertically.
-    let mut in_container = array.clone();
-    in_container.profile.vertical = Vertical::Restrained;
-    for instance in instances(&array).into_iter().chain(instances(&in_container)) {
+    for (array, instance) in all_instances() {
         let table = instance.draw(&mut random);
         let mut profile = array.profile.clone();
         let situation = Situation { component: Some(0), order: Some(2.0) };
@@ -115,6 +120,47 @@ fn what_a_sensor_does_is_undone() {
             assert!((error / size).sqrt() < 0.05, "{table:?}: {}", (error / size).sqrt());
         }
     }
+}
+
+/// Relative error of undoing `tables` on what they made of `motions`.
+fn undone_error(array: &Array, motions: &[Channels], tables: &[&str]) -> f64 {
+    let effects = build_all(&tables.iter().map(|t| toml::from_str(t).unwrap()).collect::<Vec<_>>()).unwrap();
+    let sensors: Vec<String> = array.sensors().map(String::from).collect();
+    let components = &array.components[..motions[0].len()];
+    let recording = Recording { event: "E1", dt_s: 0.01, sensors: &sensors, depths_m: &[10.0, 5.0, 0.0], components };
+    let recorded = observe(&recording, motions, &effects, Direction::Distort);
+    assert!(recorded != motions);
+    let back = observe(&recording, &recorded, &effects, Direction::Undo);
+    let pairs = || back.iter().flatten().flatten().zip(motions.iter().flatten().flatten());
+    (pairs().map(|(a, b)| (a - b).powi(2)).sum::<f64>() / pairs().map(|(_, b)| b * b).sum::<f64>()).sqrt()
+}
+
+#[test]
+fn several_effects_at_once_and_a_single_component_are_undone() {
+    let (array, motions) = (array(), motions());
+    let tables = [
+        "kind = 'sensor_orientation'\nsensor = 'top'\nazimuth_deg = 25.0",
+        "kind = 'clock_offset'\nsensor = 'top'\noffset_s = 0.03",
+        "kind = 'swapped_channels'\nsensor = 'mid'\nwith = 'top'",
+        "kind = 'swapped_channels'\nsensor = 'base'\nwith = 'top'",
+        "kind = 'sensor_gain'\nsensor = 'base'\nln_gain = -0.3",
+    ];
+    assert!(undone_error(&array, &motions, &tables) < 1e-3);
+    let single: Vec<Channels> = motions.iter().map(|s| s[..1].to_vec()).collect();
+    assert!(undone_error(&array, &single, &tables) < 1e-3);
+}
+
+#[test]
+fn what_is_predicted_is_what_is_recorded_without_interference() {
+    let (array, motions) = (array(), motions());
+    let hum =
+        toml::from_str("kind = 'machine_hum'\nsensor = 'top'\nfrequency_hz = 5.0\namplitude_m_s2 = 0.05").unwrap();
+    assert!(observed(&array, &motions, &hum, Direction::Predict) == motions);
+    let recorded = observed(&array, &motions, &hum, Direction::Distort);
+    assert!(recorded[..2] == motions[..2] && recorded[2] != motions[2]);
+    let gain = toml::from_str("kind = 'sensor_gain'\nsensor = 'top'\nln_gain = 0.2").unwrap();
+    let predicted = observed(&array, &motions, &gain, Direction::Predict);
+    assert!((predicted[2][0][400] / motions[2][0][400] - 0.2f64.exp()).abs() < 1e-9);
 }
 
 #[test]

@@ -55,6 +55,7 @@ impl Kernel for Reverse<'_> {
                     lambda.iter_mut().for_each(|l| l.0[lane] = 0.0);
                 }
             }
+            self.trajectory.limits.pull_back(&self.trajectory.z[t * r..(t + 1) * r], &mut lambda);
             let stages = &self.trajectory.stages[(t - 1) * 4 * r..t * 4 * r];
             pulled.fill(Lanes::ZERO);
             let mut total = lambda.clone();
@@ -72,6 +73,9 @@ impl Kernel for Reverse<'_> {
                 self.library.terms(z, drive, &mut theta[s * m..(s + 1) * m]);
                 pulled.fill(Lanes::ZERO);
                 self.library.pull_back::<FMA>(z, drive, self.xi_t, g, &mut work, &mut pulled);
+                if s > 0 {
+                    self.trajectory.limits.pull_back(z, &mut pulled);
+                }
                 for k in 0..r {
                     add(&mut total[k], &pulled[k]);
                 }
@@ -134,7 +138,7 @@ mod tests {
     #[test]
     fn gradients_of_the_rollout_match_finite_differences_in_double_precision() {
         let (r, n_step, lane) = (3, 12, 7);
-        let library = Library { latent: r, memories: 1 };
+        let library = Library { latent: r, memories: 1, energies: 0 };
         let mut random = stream(3, "adjoint test");
         let mut draw = |n: usize, scale: f64| -> Vec<f64> {
             (0..n).map(|_| f64::from(((random.random::<f64>() - 0.5) * 2.0 * scale) as f32)).collect()

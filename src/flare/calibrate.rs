@@ -5,13 +5,27 @@
 //! ```
 //!
 //! `ẑ` is the complete rollout from the sparse encoder's state at the end of the first window, `R` the relative size of the
-//! correction in one of two metrics ([`super::penalty`]). Selection is by the complete-rollout error of the validation events; a candidate that diverges on one of
-//! them cannot be selected. Called once for each component.
+//! correction in one of two metrics ([`super::penalty`]). Selection is by the complete-rollout error of the validation events; a
+//! candidate that diverges on one of them cannot be selected. Called once for each component.
+//!
+//! Validation error of the choices, mean squared in units of σ_s, with one source model a site (published library):
+//!
+//! | solver       | metric         | free terms  | Lotung EW | Lotung NS | centrifuge |
+//! |--------------|----------------|-------------|-----------|-----------|------------|
+//! | Adam         | `coefficients` | all         | 0.0919    | 0.0664    | 0.0136     |
+//! | Gauss–Newton | `coefficients` | all         | 0.0914    | 0.0768    | 0.0071     |
+//! | Gauss–Newton | `coefficients` | linear      | 0.0814    | 0.0769    |            |
+//! | Gauss–Newton | `field`        | all         | 0.0803    | 0.0830    | 0.0059     |
+//! | Gauss–Newton | `field`        | linear      | 0.0840    | 0.0766    | 0.0069     |
+//! | Gauss–Newton | `field`        | linear, all | 0.0772    | 0.0799    | 0.0060     |
+//!
+//! At Lotung the training events are fitted to 0.01 in all rows: what is left is one validation event stronger than every
+//! training event, where the source model itself errs by half, so that differences of a hundredth there mean little.
 
 use super::case::{Case, Event};
-use super::descent::Descent;
+use super::descent::descend;
 use super::events::{Reader, Records};
-use super::gauss_newton::{Problem, Search};
+use super::gauss_newton::{Problem, search};
 use super::history::History;
 use super::model::{SourceModel, SparseEncoder};
 use super::observation::Observation;
@@ -21,9 +35,6 @@ use super::snapshot::Fingerprint;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use std::path::Path;
-
-/// Epochs of gradient descent between checkpoints.
-const CHECKPOINT_EVERY: usize = 25;
 
 /// Calibrated latent equations of one component.
 #[derive(Debug, Clone, PartialEq)]
@@ -139,54 +150,6 @@ impl Candidate {
     }
 }
 
-/// Where a solver keeps its state, and under which fingerprint.
-type Checkpoint<'a> = Option<(&'a Path, String)>;
-
-fn search(
-    problem: &Problem<'_>,
-    start: &Candidate,
-    checkpoint: &Checkpoint<'_>,
-    progress: &dyn Progress,
-) -> Result<(Candidate, History)> {
-    let settings = problem.settings;
-    let kept = checkpoint.as_ref().and_then(|(dir, print)| Search::load(dir, print));
-    let mut search = kept.unwrap_or_else(|| Search::new(start.clone()));
-    progress.start("calibrate", (settings.free_terms.len() * settings.penalty_ladder.len()) as u64);
-    progress.advance(search.rungs_done(settings) as u64);
-    while !search.is_done(settings) {
-        let before = search.rungs_done(settings);
-        search.advance(problem, start);
-        if let Some((dir, print)) = checkpoint {
-            search.save(dir, print)?;
-        }
-        progress.advance((search.rungs_done(settings) - before) as u64);
-    }
-    Ok((search.best, search.history))
-}
-
-fn descend(
-    problem: &Problem<'_>,
-    start: &Candidate,
-    checkpoint: &Checkpoint<'_>,
-    progress: &dyn Progress,
-) -> Result<(Candidate, History)> {
-    let settings = problem.settings;
-    let kept = checkpoint.as_ref().and_then(|(dir, print)| Descent::load(dir, print));
-    let mut descent = kept.unwrap_or_else(|| Descent::new(problem, start.clone()));
-    progress.start("calibrate", settings.epochs as u64);
-    progress.advance(descent.epoch as u64);
-    while descent.epoch < settings.epochs {
-        descent.advance(problem);
-        if let Some((dir, print)) = checkpoint
-            && descent.epoch.is_multiple_of(CHECKPOINT_EVERY)
-        {
-            descent.save(dir, print)?;
-        }
-        progress.advance(1);
-    }
-    Ok((descent.best, descent.history))
-}
-
 fn check(
     model: &SourceModel,
     encoder: &SparseEncoder,
@@ -224,6 +187,7 @@ fn cosine_similarity(a: &[f32], b: &[f32]) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::flare::events::Group;
     use crate::flare::mlp::Tape;
     use crate::flare::model::Shape;
     use crate::flare::rollout::{observe, predict};
@@ -236,12 +200,21 @@ mod tests {
         (0..n).map(|_| scale * (2.0 * random.random::<f32>() - 1.0)).collect()
     }
 
+    /// A small model, with soft limits well inside its states where `soft` says so.
+    fn limited(soft: &[f32]) -> (SourceModel, SparseEncoder, Observation) {
+        let (mut model, encoder, observation) = problem();
+        model.shape.soft_limits = soft.to_vec();
+        (model, encoder, observation)
+    }
+
     fn problem() -> (SourceModel, SparseEncoder, Observation) {
         let settings = PretrainSettings {
             latent: 3,
             channels: 4,
             encoder_hidden: vec![5],
             decoder_hidden: vec![6, 5],
+            memories: Default::default(),
+            energy_levels: 0,
             ..Default::default()
         };
         let shape = Shape::new(&settings);
@@ -274,75 +247,84 @@ mod tests {
 
     #[test]
     fn the_gradient_by_the_coefficients_matches_finite_differences_for_events_of_unequal_length() {
-        let (model, encoder, observation) = problem();
-        let reader = Reader::new(&model, &observation);
-        let events: Vec<Event> = (0..10).map(|i| event(12 + 3 * i, &format!("e{i}"))).collect();
-        let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
-        let xi = model.coefficients().to_vec();
-        let mut gradient = vec![0.0; xi.len()];
-        records.error(&xi, Some(&mut gradient));
-        for i in 0..xi.len() {
-            let (mut up, mut down) = (xi.clone(), xi.clone());
-            up[i] += 2e-3;
-            down[i] -= 2e-3;
-            let slope = (records.error(&up, None) - records.error(&down, None)) / f64::from(up[i] - down[i]);
-            assert!(
-                (f64::from(gradient[i]) - slope).abs() < 1e-3 * (1.0 + slope.abs()),
-                "{i}: {} {slope}",
-                gradient[i]
-            );
+        for soft in [&[][..], &[0.5, 0.7, 0.4]] {
+            let (model, encoder, observation) = limited(soft);
+            let reader = Reader::new(&model, &observation);
+            let events: Vec<Event> = (0..10).map(|i| event(12 + 3 * i, &format!("e{i}"))).collect();
+            let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
+            let xi = model.coefficients().to_vec();
+            let mut gradient = vec![0.0; xi.len()];
+            records.error(&xi, Some(&mut gradient));
+            for i in 0..xi.len() {
+                let (mut up, mut down) = (xi.clone(), xi.clone());
+                up[i] += 2e-3;
+                down[i] -= 2e-3;
+                let slope = (records.error(&up, None) - records.error(&down, None)) / f64::from(up[i] - down[i]);
+                assert!(
+                    (f64::from(gradient[i]) - slope).abs() < 1e-3 * (1.0 + slope.abs()),
+                    "{i}: {} {slope}",
+                    gradient[i]
+                );
+            }
         }
     }
 
     #[test]
     fn the_normal_equations_match_the_reverse_pass_and_finite_differences_of_every_residual() {
-        let (model, encoder, observation) = problem();
-        let reader = Reader::new(&model, &observation);
-        let events: Vec<Event> = (0..10).map(|i| event(90 + 3 * i, &format!("e{i}"))).collect();
-        let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
-        let xi = model.coefficients().to_vec();
-        let kept: Vec<usize> = (0..xi.len()).filter(|i| i % 4 != 1).collect();
-        let normal = records.normal(&xi, &kept);
-        let mut gradient = vec![0.0; xi.len()];
-        let error = records.error(&xi, Some(&mut gradient));
-        let largest = gradient.iter().fold(0.0_f64, |top, g| top.max(f64::from(g.abs())));
-        for (i, at) in kept.iter().enumerate() {
-            let (found, exact) = (2.0 * normal.slope(i), f64::from(gradient[*at]));
-            assert!((found - exact).abs() < 1e-4 * largest, "coefficient {at}: {found} {exact}");
-        }
-        // the responses, weighted as the residuals are, at coefficients moved by h
-        let responses = |i: usize, h: f32| -> Vec<f64> {
-            let mut moved = xi.clone();
-            moved[i] += h;
-            let mut all = Vec::new();
-            for group in &records.groups {
-                let n_step = group.forcing.n_step();
-                let rolled = records.roll_out(group, &moved);
-                for (lane, target) in group.target.iter().enumerate() {
-                    let scale = (f64::from(group.weight[lane]) / records.count).sqrt();
-                    let series = &rolled.response[lane * n_step * 2..][2..target.len()];
-                    all.extend(series.iter().map(|y| scale * f64::from(*y)));
+        for soft in [&[][..], &[0.5, 0.7, 0.4]] {
+            let (model, encoder, observation) = limited(soft);
+            let reader = Reader::new(&model, &observation);
+            let events: Vec<Event> = (0..10).map(|i| event(90 + 3 * i, &format!("e{i}"))).collect();
+            let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
+            let xi = model.coefficients().to_vec();
+            let kept: Vec<usize> = (0..xi.len()).filter(|i| i % 4 != 1).collect();
+            let normal = records.normal(&xi, &kept);
+            let mut gradient = vec![0.0; xi.len()];
+            let error = records.error(&xi, Some(&mut gradient));
+            let largest = gradient.iter().fold(0.0_f64, |top, g| top.max(f64::from(g.abs())));
+            for (i, at) in kept.iter().enumerate() {
+                let (found, exact) = (2.0 * normal.slope(i), f64::from(gradient[*at]));
+                assert!((found - exact).abs() < 1e-4 * largest, "coefficient {at}: {found} {exact}");
+            }
+            // the responses, weighted as the residuals are, at coefficients moved by h
+            let responses = |i: usize, h: f32| -> Vec<f64> {
+                let mut moved = xi.clone();
+                moved[i] += h;
+                let mut all = Vec::new();
+                for group in &records.groups {
+                    let n_step = group.forcing.n_step();
+                    let rolled = records.roll_out(group, &moved);
+                    for (lane, target) in group.target.iter().enumerate() {
+                        let scale = (f64::from(group.weight[lane]) / records.count).sqrt();
+                        let series = &rolled.response[lane * n_step * 2..][2..target.len()];
+                        all.extend(series.iter().map(|y| scale * f64::from(*y)));
+                    }
+                }
+                all
+            };
+            let jacobian: Vec<Vec<f64>> = kept
+                .iter()
+                .map(|i| {
+                    let (up, down) = (responses(*i, 4e-3), responses(*i, -4e-3));
+                    up.iter().zip(&down).map(|(a, b)| (a - b) / 8e-3).collect()
+                })
+                .collect();
+            let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+            for i in 0..kept.len() {
+                for j in 0..kept.len() {
+                    let exact = dot(&jacobian[i], &jacobian[j]);
+                    let size = (dot(&jacobian[i], &jacobian[i]) * dot(&jacobian[j], &jacobian[j])).sqrt();
+                    let found = normal.curvature(i, j);
+                    assert!((found - exact).abs() < 2e-3 * size, "({i}, {j}): {found} {exact}");
                 }
             }
-            all
-        };
-        let jacobian: Vec<Vec<f64>> = kept
-            .iter()
-            .map(|i| {
-                let (up, down) = (responses(*i, 4e-3), responses(*i, -4e-3));
-                up.iter().zip(&down).map(|(a, b)| (a - b) / 8e-3).collect()
-            })
-            .collect();
-        let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
-        for i in 0..kept.len() {
-            for j in 0..kept.len() {
-                let exact = dot(&jacobian[i], &jacobian[j]);
-                let size = (dot(&jacobian[i], &jacobian[i]) * dot(&jacobian[j], &jacobian[j])).sqrt();
-                let found = normal.curvature(i, j);
-                assert!((found - exact).abs() < 2e-3 * size, "({i}, {j}): {found} {exact}");
-            }
+            assert!(error > 0.0);
+            let is_limited = |g: &Group| {
+                let states = records.roll_out(g, &xi).z;
+                states.chunks(3).any(|z| z.iter().zip(soft).any(|(z, a)| z.abs() > *a))
+            };
+            assert_eq!(records.groups.iter().any(is_limited), !soft.is_empty());
         }
-        assert!(error > 0.0);
     }
 
     #[test]

@@ -5,9 +5,14 @@ use super::calibrate::Candidate;
 use super::gauss_newton::Problem;
 use super::history::History;
 use super::pretrain::thresholds_after;
+use super::snapshot::Checkpoint;
+use crate::error::Result;
+use crate::progress::Progress;
 
 /// Longest gradient an optimiser step may follow.
 const CLIP: f64 = 10.0;
+/// Epochs between checkpoints.
+const CHECKPOINT_EVERY: usize = 25;
 
 /// All that the next epoch depends on.
 #[derive(Debug, Clone, PartialEq)]
@@ -63,4 +68,31 @@ impl Descent {
         let judged = if self.at.validation.is_finite() { self.at.validation } else { f64::NAN };
         self.history.rows.push(vec![self.epoch as f64, total, error, cost, self.at.terms(), judged]);
     }
+}
+
+/// Trains from `start` and returns the candidate best on the validation events.
+///
+/// # Errors
+/// When a checkpoint cannot be written.
+pub fn descend(
+    problem: &Problem<'_>,
+    start: &Candidate,
+    checkpoint: &Checkpoint<'_>,
+    progress: &dyn Progress,
+) -> Result<(Candidate, History)> {
+    let settings = problem.settings;
+    let kept = checkpoint.as_ref().and_then(|(dir, print)| Descent::load(dir, print));
+    let mut descent = kept.unwrap_or_else(|| Descent::new(problem, start.clone()));
+    progress.start("calibrate", settings.epochs as u64);
+    progress.advance(descent.epoch as u64);
+    while descent.epoch < settings.epochs {
+        descent.advance(problem);
+        if let Some((dir, print)) = checkpoint
+            && descent.epoch.is_multiple_of(CHECKPOINT_EVERY)
+        {
+            descent.save(dir, print)?;
+        }
+        progress.advance(1);
+    }
+    Ok((descent.best, descent.history))
 }

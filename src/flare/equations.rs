@@ -37,7 +37,7 @@ mod tests {
 
     #[test]
     fn equations_print_with_signs_names_and_without_removed_terms() {
-        let library = Library { latent: 2, memories: 0 };
+        let library = Library { latent: 2, memories: 0, energies: 0 };
         let mut xi = vec![0.0; library.n_coefficient()];
         xi[0] = -0.25; // 1 in dz1
         xi[2] = 1.5; // z1 in dz1

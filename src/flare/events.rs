@@ -2,8 +2,9 @@
 
 use super::adjoint::reverse;
 use super::case::{Event, amplitude_weights};
-use super::integrator::{Forcing, Trajectory, rollout};
+use super::integrator::{Forcing, Trajectory, rollout_limited};
 use super::kernels::{LANES, Lanes};
+use super::limits::Limits;
 use super::memory::Drive;
 use super::mlp::{Mlp, Tape};
 use super::model::{SourceModel, SparseEncoder};
@@ -51,7 +52,7 @@ impl<'a> Reader<'a> {
 pub struct Records<'a> {
     pub(super) reader: &'a Reader<'a>,
     pub(super) groups: Vec<Group>,
-    bound: f32,
+    limits: Limits,
     /// Predicted values of all events.
     pub(super) count: f64,
 }
@@ -68,15 +69,27 @@ pub(super) struct Group {
 impl<'a> Records<'a> {
     /// Encodes the first windows of `events` and weights them by amplitude.
     pub fn new(encoder: &SparseEncoder, reader: &'a Reader<'a>, events: &[Event], power: f64, bound: f32) -> Self {
-        let t0 = encoder.window - 1;
-        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
         let starting: Vec<Vec<f32>> =
             events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
+        Self::started(&starting, encoder.window - 1, reader, events, power, bound)
+    }
+
+    /// Starts `events` from given states at sample `t0`.
+    pub fn started(
+        starting: &[Vec<f32>],
+        t0: usize,
+        reader: &'a Reader<'a>,
+        events: &[Event],
+        power: f64,
+        bound: f32,
+    ) -> Self {
+        let n_sensor = reader.network.n_output();
+        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
         let drives: Vec<Drive> = events.iter().map(|e| reader.model.shape.drive(&e.u, &e.u_half, 1.0)).collect();
         let starts: Vec<Start<'_>> =
-            drives.iter().zip(&starting).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
-        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * encoder.n_sensor..].to_vec()).collect();
-        let count: usize = targets.iter().map(|t| t.len() - encoder.n_sensor).sum();
+            drives.iter().zip(starting).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
+        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * n_sensor..].to_vec()).collect();
+        let count: usize = targets.iter().map(|t| t.len() - n_sensor).sum();
         let groups = starts
             .chunks(LANES)
             .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
@@ -85,7 +98,7 @@ impl<'a> Records<'a> {
                 Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
             })
             .collect();
-        Self { reader, groups, bound, count: count as f64 }
+        Self { reader, groups, limits: reader.model.shape.limits(bound), count: count as f64 }
     }
 
     /// Weighted mean squared rollout error, infinite when a rollout diverges and no gradient is asked for; with one
@@ -147,7 +160,7 @@ impl<'a> Records<'a> {
     pub(super) fn roll_out(&self, group: &Group, xi: &[f32]) -> Rolled {
         let library = self.reader.model.shape.library();
         let mut trajectory = Trajectory::default();
-        rollout(library, xi, &group.z0, &group.forcing, self.bound, &mut trajectory);
+        rollout_limited(library, xi, &group.z0, &group.forcing, &self.limits, &mut trajectory);
         let n_step = group.forcing.n_step();
         let mut z = vec![0.0; group.n_lane * n_step * library.latent];
         from_lanes(&trajectory.z, library.latent, n_step, &mut z);

@@ -6,8 +6,8 @@
 //!
 //! `λ` is the weight of the penalty and `P` its matrix, `μ` the damping of Levenberg and Marquardt in the same metric: a step
 //! is taken if it lowers the objective and no rollout of a training event leaves its bound, and shortened (larger μ) until it
-//! does. A walk goes down a ladder of falling penalties, each rung from where the last one ended: fit, threshold, fit what is
-//! left. There is one walk from Ξ₀ for each choice of free terms. Every step is judged on the validation events, which thereby
+//! does. A walk goes down a ladder of falling penalties, each rung from where the last one ended and with what it left after
+//! thresholding. There is one walk from Ξ₀ for each choice of free terms. Every step is judged on the validation events, which thereby
 //! choose penalty and terms; a walk ends when some rungs in a row bring nothing there.
 
 use super::calibrate::Candidate;
@@ -17,14 +17,17 @@ use super::library::Library;
 use super::normal::Normal;
 use super::penalty::Penalty;
 use super::settings::{CalibrateSettings, FreeTerms};
+use super::snapshot::Checkpoint;
+use crate::error::Result;
+use crate::progress::Progress;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 
 /// Where the damping starts and how far it may go.
-const FIRST_DAMPING: f64 = 1.0;
+pub(super) const FIRST_DAMPING: f64 = 1.0;
 const DAMPING: (f64, f64) = (1e-6, 1e8);
 /// A rung ends when a step lowers the objective by less than this share.
-const SMALLEST_GAIN: f64 = 2e-3;
+const SMALLEST_GAIN: f64 = 5e-3;
 /// Rungs in a row without a better validation that end a walk.
 const PATIENCE: usize = 3;
 
@@ -52,9 +55,7 @@ pub struct Search {
     pub walk: usize,
     /// Rung of the ladder.
     pub rung: usize,
-    /// Whether the rung was thresholded already.
-    pub is_thresholded: bool,
-    /// Steps taken since the rung began or was thresholded.
+    /// Steps taken since the rung began.
     pub step: usize,
     /// Rungs since the walk last bettered its own validation error.
     pub idle: usize,
@@ -78,7 +79,6 @@ impl Search {
         Self {
             walk: 0,
             rung: 0,
-            is_thresholded: false,
             step: 0,
             idle: 0,
             lowest: start.validation,
@@ -100,8 +100,8 @@ impl Search {
         self.walk * settings.penalty_ladder.len() + self.rung
     }
 
-    /// Takes one step, and goes on to thresholding, the next rung or the next walk (from `start`) where the steps have come
-    /// to an end.
+    /// Takes one step; where the steps have come to an end, thresholds and goes on to the next rung or, from `start`, to the
+    /// next walk.
     pub fn advance(&mut self, problem: &Problem<'_>, start: &Candidate) {
         let settings = problem.settings;
         let goes_on = self.step_down(problem);
@@ -110,11 +110,9 @@ impl Search {
             return;
         }
         self.step = 0;
-        if !self.is_thresholded && self.at.threshold(settings.threshold) {
-            self.is_thresholded = true;
-            return;
+        if self.at.threshold(settings.threshold) {
+            self.judge(problem);
         }
-        self.is_thresholded = false;
         self.idle = if self.lowest < self.before { 0 } else { self.idle + 1 };
         self.before = self.lowest;
         self.rung += 1;
@@ -125,21 +123,28 @@ impl Search {
         }
     }
 
+    /// Judges where the walk is on the validation events; one that diverges there can never be the best.
+    fn judge(&mut self, problem: &Problem<'_>) {
+        self.at.validation = problem.validation.error(&self.at.xi, None);
+        self.lowest = self.lowest.min(self.at.validation);
+        if self.at.validation < self.best.validation {
+            self.best = self.at.clone();
+        }
+    }
+
     /// One step of (1), judged; whether another one promises anything.
     fn step_down(&mut self, problem: &Problem<'_>) -> bool {
         let weight = problem.settings.penalty_ladder[self.rung];
         let free = problem.free(&self.at, problem.settings.free_terms[self.walk]);
         let old = problem.objective(&self.at.xi, weight);
         let normal = problem.train.normal(&self.at.xi, &free);
-        let Some(xi) = problem.descend(&normal, &free, &self.at.xi, weight, old, &mut self.damping) else {
+        let Some(xi) =
+            descend(problem.train, problem.penalty, &normal, &free, &self.at.xi, weight, old, &mut self.damping)
+        else {
             return false;
         };
         self.at.xi = xi;
-        self.at.validation = problem.validation.error(&self.at.xi, None);
-        self.lowest = self.lowest.min(self.at.validation);
-        if self.at.validation < self.best.validation {
-            self.best = self.at.clone();
-        }
+        self.judge(problem);
         let (observation, penalty) = problem.parts(&self.at.xi);
         let new = observation + weight * penalty;
         let judged = if self.at.validation.is_finite() { self.at.validation } else { f64::NAN };
@@ -148,6 +153,32 @@ impl Search {
         self.history.rows.push(row);
         new < (1.0 - SMALLEST_GAIN) * old
     }
+}
+
+/// Walks every walk from `start`, and returns the candidate best on the validation events.
+///
+/// # Errors
+/// When a checkpoint cannot be written.
+pub fn search(
+    problem: &Problem<'_>,
+    start: &Candidate,
+    checkpoint: &Checkpoint<'_>,
+    progress: &dyn Progress,
+) -> Result<(Candidate, History)> {
+    let settings = problem.settings;
+    let kept = checkpoint.as_ref().and_then(|(dir, print)| Search::load(dir, print));
+    let mut search = kept.unwrap_or_else(|| Search::new(start.clone()));
+    progress.start("calibrate", (settings.free_terms.len() * settings.penalty_ladder.len()) as u64);
+    progress.advance(search.rungs_done(settings) as u64);
+    while !search.is_done(settings) {
+        let before = search.rungs_done(settings);
+        search.advance(problem, start);
+        if let Some((dir, print)) = checkpoint {
+            search.save(dir, print)?;
+        }
+        progress.advance((search.rungs_done(settings) - before) as u64);
+    }
+    Ok((search.best, search.history))
 }
 
 impl Problem<'_> {
@@ -168,44 +199,46 @@ impl Problem<'_> {
         let (observation, penalty) = self.parts(xi);
         observation + weight * penalty
     }
+}
 
-    /// The first step that lowers the objective below `old`; the damping is left ready for the step after it.
-    fn descend(
-        &self,
-        normal: &Normal,
-        free: &[usize],
-        xi: &[f32],
-        weight: f64,
-        old: f64,
-        damping: &mut f64,
-    ) -> Option<Vec<f32>> {
-        let was_bounded = self.train.misfit(xi).1;
-        while *damping <= DAMPING.1 {
-            if let Some(step) = self.step(normal, free, xi, weight, *damping) {
-                let mut moved = xi.to_vec();
-                free.iter().zip(&step).for_each(|(i, d)| moved[*i] = (f64::from(xi[*i]) + d) as f32);
-                let (observation, is_bounded) = self.train.misfit(&moved);
-                let new = observation + weight * self.penalty.value(&moved);
-                if new < old && (is_bounded || !was_bounded) {
-                    *damping = (*damping * 0.2).max(DAMPING.0);
-                    return Some(moved);
-                }
+/// The first step that lowers the objective below `old`; the damping is left ready for the step after it.
+#[allow(clippy::too_many_arguments)]
+pub(super) fn descend(
+    train: &Records<'_>,
+    penalty: &Penalty,
+    normal: &Normal,
+    free: &[usize],
+    xi: &[f32],
+    weight: f64,
+    old: f64,
+    damping: &mut f64,
+) -> Option<Vec<f32>> {
+    let was_bounded = train.misfit(xi).1;
+    while *damping <= DAMPING.1 {
+        if let Some(step) = step(penalty, normal, free, xi, weight, *damping) {
+            let mut moved = xi.to_vec();
+            free.iter().zip(&step).for_each(|(i, d)| moved[*i] = (f64::from(xi[*i]) + d) as f32);
+            let (observation, is_bounded) = train.misfit(&moved);
+            let new = observation + weight * penalty.value(&moved);
+            if new < old && (is_bounded || !was_bounded) {
+                *damping = (*damping * 0.2).max(DAMPING.0);
+                return Some(moved);
             }
-            *damping *= 5.0;
         }
-        *damping = FIRST_DAMPING;
-        None
+        *damping *= 5.0;
     }
+    *damping = FIRST_DAMPING;
+    None
+}
 
-    /// δ of equation (1), nothing where the matrix is not positive.
-    fn step(&self, normal: &Normal, free: &[usize], xi: &[f32], weight: f64, damping: f64) -> Option<Vec<f64>> {
-        let matrix = Mat::from_fn(free.len(), free.len(), |i, j| {
-            normal.curvature(i, j) + (weight + damping) * self.penalty.curvature(free[i], free[j])
-        });
-        let pull = self.penalty.half_gradient(xi);
-        let right = Mat::from_fn(free.len(), 1, |i, _| -normal.slope(i) - weight * pull[free[i]]);
-        let step = matrix.llt(Side::Lower).ok()?.solve(&right);
-        let step: Vec<f64> = (0..free.len()).map(|i| step[(i, 0)]).collect();
-        step.iter().all(|d| d.is_finite()).then_some(step)
-    }
+/// δ of equation (1), nothing where the matrix is not positive.
+fn step(penalty: &Penalty, normal: &Normal, free: &[usize], xi: &[f32], weight: f64, damping: f64) -> Option<Vec<f64>> {
+    let matrix = Mat::from_fn(free.len(), free.len(), |i, j| {
+        normal.curvature(i, j) + (weight + damping) * penalty.curvature(free[i], free[j])
+    });
+    let pull = penalty.half_gradient(xi);
+    let right = Mat::from_fn(free.len(), 1, |i, _| -normal.slope(i) - weight * pull[free[i]]);
+    let step = matrix.llt(Side::Lower).ok()?.solve(&right);
+    let step: Vec<f64> = (0..free.len()).map(|i| step[(i, 0)]).collect();
+    step.iter().all(|d| d.is_finite()).then_some(step)
 }

@@ -6,10 +6,12 @@
 //! ```
 //!
 //! Time is counted in samples, so the step is 1 and coefficients are of order one; the model turns them into 1/s. A state
-//! beyond the bound, or no number at all, ends its lane there: what follows is held at zero and counts as not predicted.
+//! beyond the bound, or no number at all, ends its lane there: what follows is held at zero and counts as not predicted. Soft
+//! limits ([`super::limits`]) act on the state of every stage and on the new state.
 
 use super::kernels::{Kernel, LANES, Lanes, dispatch};
 use super::library::Library;
+use super::limits::Limits;
 use super::memory::Drive;
 use std::ops::Range;
 
@@ -77,18 +79,32 @@ pub struct Trajectory {
     pub stages: Vec<Lanes>,
     /// Samples of each lane that are valid: its length, or fewer where it left the bound.
     pub valid: [usize; LANES],
+    /// The limits it was rolled out with.
+    pub limits: Limits,
 }
 
 struct Rollout<'a> {
     library: Library,
     xi: &'a [f32],
     forcing: &'a Forcing,
-    bound: f32,
     to: &'a mut Trajectory,
 }
 
-/// Rolls the group out from `z0[r]` through `forcing`, in place in `to`.
+/// Rolls the group out from `z0[r]` through `forcing`, in place in `to`, until a state leaves `bound`.
 pub fn rollout(library: Library, xi: &[f32], z0: &[Lanes], forcing: &Forcing, bound: f32, to: &mut Trajectory) {
+    rollout_limited(library, xi, z0, forcing, &Limits::hard(bound), to);
+}
+
+/// As [`rollout`], with soft limits on the states.
+pub fn rollout_limited(
+    library: Library,
+    xi: &[f32],
+    z0: &[Lanes],
+    forcing: &Forcing,
+    limits: &Limits,
+    to: &mut Trajectory,
+) {
+    to.limits.clone_from(limits);
     let r = library.latent;
     let n_step = forcing.n_step();
     to.z.clear();
@@ -98,9 +114,10 @@ pub fn rollout(library: Library, xi: &[f32], z0: &[Lanes], forcing: &Forcing, bo
     to.valid = forcing.length;
     if n_step > 0 {
         to.z[..r].copy_from_slice(z0);
-        end_lanes(&mut to.z[..r], &mut [], 0, bound, &mut to.valid);
+        limits.apply(&mut to.z[..r]);
+        end_lanes(&mut to.z[..r], &mut [], 0, limits.bound, &mut to.valid);
     }
-    dispatch(Rollout { library, xi, forcing, bound, to });
+    dispatch(Rollout { library, xi, forcing, to });
 }
 
 impl Kernel for Rollout<'_> {
@@ -129,12 +146,16 @@ impl Kernel for Rollout<'_> {
                         stages[(s + 1) * r + k] = ahead_state;
                     }
                 }
+                if s < 3 {
+                    self.to.limits.apply(&mut stages[(s + 1) * r..(s + 2) * r]);
+                }
             }
             for k in 0..r {
                 next[k] = z[k];
                 next[k].add_scaled::<FMA>(&sum[k], 1.0 / 6.0); // (1)
             }
-            end_lanes(next, stages, t, self.bound, &mut self.to.valid);
+            self.to.limits.apply(next);
+            end_lanes(next, stages, t, self.to.limits.bound, &mut self.to.valid);
         }
     }
 }
@@ -164,7 +185,7 @@ mod tests {
 
     /// A damped oscillator `z1' = z2, z2' = −ω² z1 − 2ζω z2 + u` in units of `step`.
     fn oscillator(step: f64) -> Vec<f32> {
-        let library = Library { latent: 2, memories: 0 };
+        let library = Library { latent: 2, memories: 0, energies: 0 };
         let mut xi = vec![0.0; library.n_coefficient()];
         let (omega, zeta) = (3.0, 0.05);
         xi[2 * 2] = step as f32;
@@ -182,7 +203,14 @@ mod tests {
         forcing.reset(n_step, 1);
         forcing.set(5, &Drive { width: 1, at: series, half }, 0..n_step, 1.0);
         let mut to = Trajectory::default();
-        rollout(Library { latent: 2, memories: 0 }, &oscillator(step), &[Lanes::ZERO; 2], &forcing, 1e3, &mut to);
+        rollout(
+            Library { latent: 2, memories: 0, energies: 0 },
+            &oscillator(step),
+            &[Lanes::ZERO; 2],
+            &forcing,
+            1e3,
+            &mut to,
+        );
         assert_eq!(to.valid[5], n_step);
         f64::from(to.z[(n_step - 1) * 2].0[5])
     }
@@ -198,7 +226,7 @@ mod tests {
 
     #[test]
     fn a_diverging_lane_ends_and_leaves_its_neighbours_alone() {
-        let library = Library { latent: 1, memories: 0 };
+        let library = Library { latent: 1, memories: 0, energies: 0 };
         let xi = [0.0, 0.0, 1.0, 0.0]; // z' = z², finite-time blow-up from a positive start
         let mut forcing = Forcing::default();
         forcing.reset(50, 1);

@@ -44,6 +44,12 @@ impl Lanes {
         }
     }
 
+    /// `f(x)`, lane by lane.
+    #[inline(always)]
+    pub fn map(self, f: impl Fn(f32) -> f32) -> Self {
+        Self(self.0.map(f))
+    }
+
     /// `x · y`, lane by lane.
     #[inline(always)]
     pub fn product(x: &Self, y: &Self) -> Self {

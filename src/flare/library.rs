@@ -1,7 +1,14 @@
 //! The candidate library Θ(z, u) of the latent equations: which terms there are, in which order, under which names.
 //!
 //! Order: `1`, then `z_i`, then `z_i z_j` for `i ≤ j`, then `u`, then for each memory `m_k` of the shaking `m_k z_i` and
-//! `m_k u`. The arithmetic runs on [`Lanes`]; names serve the printed equations and the checkpoint card.
+//! `m_k u`, then for each level `l` of energy `e_l z_i`. The arithmetic runs on [`Lanes`]; names serve the printed equations and
+//! the checkpoint card.
+//!
+//! ```text
+//! e_l = S / (l + S),   S = Σ z_i²                                                  (1)
+//! ```
+//!
+//! `e_l z_i` is odd in the state, as a column without left and right asks for, and bounded by a linear term.
 
 use super::kernels::Lanes;
 
@@ -13,15 +20,20 @@ pub struct Library {
     pub latent: usize,
     /// Number of memories, 0 as published.
     pub memories: usize,
+    /// Number of energy levels, 0 as published.
+    pub energies: usize,
 }
+
+/// Levels of eq. (1), the first ones used first.
+pub const ENERGY: [f32; 3] = [1.0, 30.0, 0.03];
 
 /// Most outputs whose sums are kept in registers at once.
 const BLOCK: usize = 7;
 
 impl Library {
-    /// Number of terms, `2 + r + r(r+1)/2`, and `r + 1` for each memory.
+    /// Number of terms, `2 + r + r(r+1)/2`, `r + 1` for each memory and `r` for each energy level.
     pub fn n_term(&self) -> usize {
-        self.input_row() + 1 + self.memories * (self.latent + 1)
+        self.energy_row(self.energies)
     }
 
     /// Number of coefficients of the latent equations.
@@ -43,6 +55,7 @@ impl Library {
                 let products = (1..=r).map(move |i| format!("m{m} z{i}"));
                 products.chain(std::iter::once(format!("m{m} u")))
             }))
+            .chain((1..=self.energies).flat_map(|e| (1..=r).map(move |i| format!("e{e} z{i}"))))
             .collect()
     }
 
@@ -59,6 +72,11 @@ impl Library {
     /// First row of the products with memory `m`.
     fn memory_row(&self, m: usize) -> usize {
         self.input_row() + 1 + m * (self.latent + 1)
+    }
+
+    /// First row of the products with energy level `e`.
+    fn energy_row(&self, e: usize) -> usize {
+        self.memory_row(self.memories) + e * self.latent
     }
 
     /// Θ(z, u): `theta[n_term]` from `z[r]` and `drive[1 + memories]`, `u` first.
@@ -81,6 +99,14 @@ impl Library {
             }
             theta[p + 1 + r] = Lanes::product(m, &drive[0]);
             p += r + 1;
+        }
+        if self.energies > 0 {
+            let size = energy(&z[..r]);
+            for (e, level) in ENERGY[..self.energies].iter().enumerate() {
+                let row = self.energy_row(e);
+                let share = size.map(|s| s / (level + s)); // (1)
+                (0..r).for_each(|i| theta[row + i] = Lanes::product(&share, &z[i]));
+            }
         }
     }
 
@@ -118,8 +144,8 @@ impl Library {
         dz: &mut [Lanes],
     ) {
         let (r, m) = (self.latent, self.n_term());
-        // the row of u has no part in ∂/∂z, nor has the last product with a memory
-        let last = if self.memories == 0 { self.input_row() } else { m - 1 };
+        // the row of u has no part in ∂/∂z
+        let last = if m == self.input_row() + 1 { m - 1 } else { m };
         let mut p = 1;
         while p + BLOCK <= last {
             combine_block::<FMA, BLOCK>(&g[..r], xi_t, m, p, work);
@@ -132,6 +158,21 @@ impl Library {
         for (k, memory) in drive[1..=self.memories].iter().enumerate() {
             let row = self.memory_row(k);
             dz.iter_mut().zip(&work[row..row + r]).for_each(|(d, w)| d.add_product::<FMA>(w, memory));
+        }
+        if self.energies > 0 {
+            let size = energy(&z[..r]);
+            for (e, level) in ENERGY[..self.energies].iter().enumerate() {
+                let row = self.energy_row(e);
+                let share = size.map(|s| s / (level + s));
+                // ∂e/∂z_j = 2 l z_j / (l + S)²
+                let mut along = Lanes::ZERO;
+                work[row..row + r].iter().zip(z).for_each(|(w, z)| along.add_product::<FMA>(w, z));
+                let slope = Lanes::product(&along, &size.map(|s| 2.0 * level / ((level + s) * (level + s))));
+                for i in 0..r {
+                    dz[i].add_product::<FMA>(&work[row + i], &share);
+                    dz[i].add_product::<FMA>(&slope, &z[i]);
+                }
+            }
         }
         for i in 0..r {
             for (d, w) in dz[i].0.iter_mut().zip(&work[1 + i].0) {
@@ -148,6 +189,14 @@ impl Library {
             }
         }
     }
+}
+
+/// `Σ z_i²`, lane by lane.
+#[inline(always)]
+fn energy(z: &[Lanes]) -> Lanes {
+    let mut sum = Lanes::ZERO;
+    z.iter().for_each(|z| sum.add_product::<false>(z, z));
+    sum
 }
 
 /// `out[k..k+B] = Σ_p input[p] · matrix[p][k..k+B]`, sums in registers.
@@ -236,19 +285,22 @@ mod tests {
 
     #[test]
     fn terms_are_named_in_the_order_they_are_computed() {
-        let library = Library { latent: 2, memories: 1 };
-        let names = ["1", "z1", "z2", "z1^2", "z1 z2", "z2^2", "u", "m1 z1", "m1 z2", "m1 u"];
+        let library = Library { latent: 2, memories: 1, energies: 1 };
+        let names = ["1", "z1", "z2", "z1^2", "z1 z2", "z2^2", "u", "m1 z1", "m1 z2", "m1 u", "e1 z1", "e1 z2"];
         assert_eq!(library.names(), names);
         let mut theta = vec![Lanes::ZERO; library.n_term()];
         library.terms(&[2.0, 3.0].map(Lanes::splat), &[5.0, 0.5].map(Lanes::splat), &mut theta);
         let values: Vec<f32> = theta.iter().map(|t| t.0[0]).collect();
-        assert_eq!(values, [1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 5.0, 1.0, 1.5, 2.5]);
+        assert_eq!(
+            values,
+            [1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 5.0, 1.0, 1.5, 2.5, 2.0 * (13.0 / 14.0), 3.0 * (13.0 / 14.0)]
+        );
     }
 
     #[test]
     fn every_latent_dimension_up_to_32_combines_like_a_plain_sum() {
         for r in 1..=32 {
-            let library = Library { latent: r, memories: r % 3 };
+            let library = Library { latent: r, memories: r % 3, energies: r % 2 };
             let m = library.n_term();
             let xi: Vec<f32> = (0..m * r).map(|i| ((i * 37 % 101) as f32 - 50.0) / 50.0).collect();
             let z: Vec<Lanes> = (0..r).map(|i| Lanes::splat((i as f32 * 0.7).sin())).collect();
@@ -265,8 +317,8 @@ mod tests {
 
     #[test]
     fn pull_back_matches_finite_differences_of_the_right_hand_side() {
-        for (r, memories) in [(1, 0), (2, 1), (5, 2), (7, 0), (14, 2)] {
-            let library = Library { latent: r, memories };
+        for (r, memories, energies) in [(1, 0, 0), (2, 1, 0), (5, 2, 2), (7, 0, 1), (14, 2, 3)] {
+            let library = Library { latent: r, memories, energies };
             let drive = [0.2, 0.7, 0.4];
             let m = library.n_term();
             let xi: Vec<f32> = (0..m * r).map(|i| ((i * 53 % 97) as f32 - 48.0) / 97.0).collect();
@@ -279,6 +331,10 @@ mod tests {
                 theta.push(drive[0]);
                 for m in &drive[1..=memories] {
                     theta.extend(z.iter().chain([&drive[0]]).map(|x| m * x));
+                }
+                let size: f64 = z.iter().map(|z| z * z).sum();
+                for level in &ENERGY[..energies] {
+                    theta.extend(z.iter().map(|z| z * size / (f64::from(*level) + size)));
                 }
                 (0..r).map(|k| g[k] * (0..m).map(|p| theta[p] * f64::from(xi[p * r + k])).sum::<f64>()).sum()
             };

@@ -1,6 +1,8 @@
 //! The learned models as plain data: the source model (encoder, latent equations, decoder) and the sparse encoder.
 
+use super::case::Case;
 use super::library::Library;
+use super::limits::Limits;
 use super::memory::{Drive, Memories};
 use super::mlp::{Mlp, Tape};
 use super::settings::{DistillSettings, PretrainSettings};
@@ -27,6 +29,12 @@ pub struct Shape {
     /// Memories of the shaking in the latent equations.
     #[serde(default)]
     pub memories: Memories,
+    /// Where the soft limit of each state begins; empty for none.
+    #[serde(default)]
+    pub soft_limits: Vec<f32>,
+    /// Levels of energy in the latent equations.
+    #[serde(default)]
+    pub energy_levels: usize,
 }
 
 impl Shape {
@@ -41,17 +49,25 @@ impl Shape {
             decoder_hidden: settings.decoder_hidden.clone(),
             has_linear_path: settings.linear_start,
             memories: settings.memories.clone(),
+            soft_limits: Vec::new(),
+            energy_levels: settings.energy_levels,
         }
     }
 
     /// The candidate library.
     pub fn library(&self) -> Library {
-        Library { latent: self.latent, memories: self.memories.count() }
+        Library { latent: self.latent, memories: self.memories.count(), energies: self.energy_levels }
+    }
+
+    /// The limits of the latent states of a rollout.
+    pub fn limits(&self, bound: f32) -> Limits {
+        Limits { bound, soft: self.soft_limits.clone() }
     }
 
     /// What drives the latent equations through a motion `u[n_step]`, `u_half[n_step − 1]`, multiplied by `factor`.
     pub fn drive(&self, u: &[f32], u_half: &[f32], factor: f32) -> Drive {
-        Drive::new(&self.memories, self.step_s, u, u_half, factor)
+        let tame = |x: &[f32]| x.iter().map(|v| tame(*v)).collect::<Vec<f32>>();
+        Drive::new(&self.memories, self.step_s, &tame(u), &tame(u_half), factor)
     }
 
     /// The source encoder E_T.
@@ -94,6 +110,27 @@ pub struct SourceModel {
 }
 
 impl SourceModel {
+    /// Begins the soft limit of each state at `factor` times its largest size in `cases`, encoded or rolled out; 0 for never.
+    pub fn limit_softly(&mut self, cases: &[Case], factor: f64) {
+        self.shape.soft_limits.clear();
+        if factor == 0.0 {
+            return;
+        }
+        let mut range = vec![0.0_f32; self.shape.latent];
+        let mut widen = |z: &[f32]| {
+            for row in z.chunks_exact(range.len()) {
+                range.iter_mut().zip(row).for_each(|(a, z)| *a = a.max(z.abs()));
+            }
+        };
+        for case in cases {
+            widen(&self.encode(&case.dense));
+            if let Ok(z) = self.states(case) {
+                widen(&z);
+            }
+        }
+        self.shape.soft_limits = range.into_iter().map(|a| (factor as f32 * a).max(f32::MIN_POSITIVE)).collect();
+    }
+
     /// Ξ₀ per sample, `[n_term · r]`.
     pub fn coefficients(&self) -> &[f32] {
         &self.parameters[self.shape.coefficient_range()]
@@ -158,8 +195,16 @@ impl SparseEncoder {
     }
 }
 
+/// Largest normalised acceleration an encoder or the latent equations are given: a million standard deviations are no earthquake,
+/// and squares of them are still numbers.
+const LARGEST_INPUT: f32 = 1e6;
+
+fn tame(value: f32) -> f32 {
+    value.clamp(-LARGEST_INPUT, LARGEST_INPUT)
+}
+
 /// All flattened windows of a series `[n_step · n]`: `[(n_step − L + 1) · L · n]`.
 pub fn windows(series: &[f32], n: usize, length: usize) -> Vec<f32> {
     let n_window = (series.len() / n + 1).saturating_sub(length);
-    (0..n_window).flat_map(|t| &series[t * n..(t + length) * n]).copied().collect()
+    (0..n_window).flat_map(|t| &series[t * n..(t + length) * n]).map(|v| tame(*v)).collect()
 }

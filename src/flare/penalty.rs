@@ -140,6 +140,7 @@ mod tests {
             channels: 4,
             encoder_hidden: vec![5],
             memories: Default::default(),
+            energy_levels: 0,
             ..Default::default()
         };
         let shape = Shape::new(&settings);

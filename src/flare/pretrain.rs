@@ -6,6 +6,7 @@ use super::history::History;
 use super::memory::Drive;
 use super::model::{Shape, SourceModel};
 use super::objective::{Objective, Scratch, Segment, Terms};
+use super::polish::polish;
 use super::resume::{TrainingState, fingerprint};
 use super::settings::PretrainSettings;
 use super::start::{linear_start, oscillators};
@@ -87,6 +88,9 @@ pub fn pretrain(
             prune(&mut state.model, settings.threshold);
             state.adam.restart();
         }
+        if polishes_after(state.epoch, settings) {
+            polished(&objective, settings, &judge, &mut state, progress);
+        }
         let is_last = state.epoch == settings.epochs;
         let is_judged = is_last || state.epoch.is_multiple_of(settings.validate_every);
         let score = is_judged.then(|| judge(&state.model));
@@ -122,6 +126,33 @@ fn check(train: &[Case], validation: &[Case], settings: &PretrainSettings) -> Re
         cases.iter().try_for_each(|c| c.check(settings.channels, n_sensor, settings.window + 2))?;
     }
     Ok(())
+}
+
+/// Whether coefficients are polished after `epoch` epochs: every so often in the second half, and at the end.
+fn polishes_after(epoch: usize, settings: &PretrainSettings) -> bool {
+    let is_due = settings.polish_every > 0 && (settings.epochs - epoch).is_multiple_of(settings.polish_every);
+    settings.polish_steps > 0 && 2 * epoch >= settings.epochs && is_due
+}
+
+/// Polishes the coefficients of the model as it stands; every step is judged and enters the history.
+fn polished(
+    objective: &Objective<'_>,
+    settings: &PretrainSettings,
+    judge: &dyn Fn(&SourceModel) -> Score,
+    state: &mut TrainingState,
+    progress: &dyn Progress,
+) {
+    let mut model = state.model.clone();
+    polish(&mut model, objective.cases, settings, settings.polish_steps, &mut |model, error| {
+        state.model = model.clone();
+        let score = judge(model);
+        progress.note(&format!("polish: training error {error:.4}, validation {:.1} %", score.nrmse_percent));
+        let mut terms = [f64::NAN; 5];
+        terms[1] = error;
+        state.history.rows.push(row(state.epoch, objective, &terms, model, Some(score)));
+        state.consider(score.score);
+    });
+    state.adam.restart();
 }
 
 /// A model before the first epoch.

@@ -162,7 +162,7 @@ impl Search {
     /// When the file cannot be written.
     pub fn save(&self, dir: &Path, fingerprint: &str) -> Result<()> {
         let mut snapshot = Snapshot::default();
-        let counts = [self.walk, self.rung, usize::from(self.is_thresholded), self.step, self.idle];
+        let counts = [self.walk, self.rung, self.step, self.idle];
         snapshot.doubles("counters", &counts.map(|n| n as f64));
         snapshot.doubles("levels", &[self.lowest, self.before, self.damping]);
         snapshot.history(&self.history);
@@ -175,12 +175,11 @@ impl Search {
     pub fn load(dir: &Path, fingerprint: &str) -> Option<Self> {
         let snapshot = Snapshot::load(dir, fingerprint)?;
         let counters: Vec<usize> = snapshot.get_doubles("counters")?.into_iter().map(|n| n as usize).collect();
-        let [walk, rung, is_thresholded, step, idle] = *counters.as_array()?;
+        let [walk, rung, step, idle] = *counters.as_array()?;
         let [lowest, before, damping] = *snapshot.get_doubles("levels")?.as_array()?;
         Some(Self {
             walk,
             rung,
-            is_thresholded: is_thresholded == 1,
             step,
             idle,
             lowest,

@@ -1,9 +1,10 @@
 //! Whole-motion rollouts: of simulated cases from their dense window, of events from their sensor window.
 
 use super::case::Case;
-use super::integrator::{Forcing, Trajectory, rollout as integrate};
+use super::integrator::{Forcing, Trajectory, rollout_limited};
 use super::kernels::{LANES, Lanes};
 use super::library::Library;
+use super::limits::Limits;
 use super::memory::Drive;
 use super::model::{SourceModel, SparseEncoder};
 use super::observation::Observation;
@@ -32,14 +33,14 @@ impl Start<'_> {
 }
 
 /// Latent states `[n · r]` of each sequence, with the number of valid samples (fewer than n where it diverged).
-pub fn roll_out(library: Library, xi: &[f32], starts: &[Start<'_>], bound: f32) -> Vec<(Vec<f32>, usize)> {
+pub fn roll_out(library: Library, xi: &[f32], starts: &[Start<'_>], limits: &Limits) -> Vec<(Vec<f32>, usize)> {
     let r = library.latent;
     let groups: Vec<Vec<(Vec<f32>, usize)>> = starts
         .par_chunks(LANES)
         .map(|group| {
             let (forcing, z0) = load_group(r, group);
             let mut to = Trajectory::default();
-            integrate(library, xi, &z0, &forcing, bound, &mut to);
+            rollout_limited(library, xi, &z0, &forcing, limits, &mut to);
             let lane = |(lane, start): (usize, &Start<'_>)| {
                 (to.z[..start.n_step() * r].iter().map(|z| z.0[lane]).collect(), to.valid[lane])
             };
@@ -69,12 +70,19 @@ impl SourceModel {
     /// # Errors
     /// When the latent state leaves every bound.
     pub fn roll_out(&self, case: &Case) -> Result<Vec<f32>> {
+        Ok(self.decode(&self.states(case)?))
+    }
+
+    /// The latent states `[(n_step − L + 1) · r]` of that rollout.
+    ///
+    /// # Errors
+    /// As [`SourceModel::roll_out`].
+    pub fn states(&self, case: &Case) -> Result<Vec<f32>> {
         let t0 = self.shape.window - 1;
         let z0 = self.encode(&case.dense[..self.shape.window * self.shape.channels]);
         let drive = self.shape.drive(&case.u, &case.u_half, 1.0);
         let start = Start { z0: &z0, drive: &drive, from: t0 };
-        let z = one(self, self.coefficients(), start).map_err(|e| e.at(format!("case `{}`", case.id)))?;
-        Ok(self.decode(&z))
+        one(self, self.coefficients(), start).map_err(|e| e.at(format!("case `{}`", case.id)))
     }
 }
 
@@ -134,7 +142,7 @@ pub fn observe(observation: &Observation, dense: &[f32]) -> Vec<f32> {
 }
 
 fn one(model: &SourceModel, xi: &[f32], start: Start<'_>) -> Result<Vec<f32>> {
-    let (z, valid) = roll_out(model.shape.library(), xi, &[start], STATE_BOUND).remove(0);
+    let (z, valid) = roll_out(model.shape.library(), xi, &[start], &model.shape.limits(STATE_BOUND)).remove(0);
     if valid < start.n_step() {
         let time_s = valid as f64 * model.shape.step_s;
         return Err(Error::new(format!(

@@ -7,7 +7,7 @@
 //! S_t = A S_{t−1} + Σ_s θ_sᵀ ⊗ M_s,   A = 1 + Σ_s M_s J_s,   S_t = ∂z_t/∂Ξ                                (2)
 //! ```
 //!
-//! This is the exact derivative of the discrete rollout, the same one the reverse pass of [`super::adjoint`] follows
+//! Where a soft limit acts, its slope multiplies what passes through it. This is the exact derivative of the discrete rollout, the same one the reverse pass of [`super::adjoint`] follows
 //! backwards. Rows of `S` belong to coefficients in the order of Ξ, columns to states, so that the second part of (2) is
 //! one product of narrow matrices.
 
@@ -48,6 +48,7 @@ impl Kernel for Linearise<'_> {
         let stages = &self.trajectory.stages[(t - 1) * 4 * r..t * 4 * r];
         let mut slope =
             StepSlope { a: identity(r, 1.0), m: vec![Lanes::ZERO; 4 * r * r], theta: vec![Lanes::ZERO; 4 * n_term] };
+        let limits = &self.trajectory.limits;
         let mut jacobian = vec![Lanes::ZERO; r * r];
         let mut work = vec![Lanes::ZERO; n_term];
         let mut unit = vec![Lanes::ZERO; r];
@@ -78,7 +79,18 @@ impl Kernel for Linearise<'_> {
                     }
                 }
             }
+            for i in (0..r).filter(|_| s > 0) {
+                if let Some(limit) = limits.slope(z, i) {
+                    pulled[i * r..(i + 1) * r].iter_mut().for_each(|p| *p = Lanes::product(p, &limit));
+                }
+            }
             slope.a.iter_mut().zip(&pulled).for_each(|(a, p)| a.add_scaled::<FMA>(p, 1.0)); // (2)
+        }
+        for i in 0..r {
+            if let Some(limit) = limits.slope(&self.trajectory.z[t * r..(t + 1) * r], i) {
+                let of_state = slope.a.iter_mut().chain(&mut slope.m).skip(i).step_by(r);
+                of_state.for_each(|x| *x = Lanes::product(x, &limit));
+            }
         }
         slope
     }

@@ -26,6 +26,8 @@ pub struct PretrainSettings {
     pub decoder_hidden: Vec<usize>,
     /// Memories of the shaking that the latent equations may multiply their linear terms with; none as published.
     pub memories: Memories,
+    /// Levels of latent energy that they may multiply the states with (0…3); none as published.
+    pub energy_levels: usize,
     /// Passes over the training sequences.
     pub epochs: usize,
     /// Sequences per step of the optimiser.
@@ -50,6 +52,10 @@ pub struct PretrainSettings {
     pub mirror: bool,
     /// Sequences begin at places drawn anew each epoch.
     pub jitter: bool,
+    /// Gauss–Newton steps on the coefficients over whole motions, taken each time; none as published.
+    pub polish_steps: usize,
+    /// Epochs between two times, counted back from the last epoch to half of them.
+    pub polish_every: usize,
     /// Epochs between validations by whole-motion rollout.
     pub validate_every: usize,
     /// Validations between checkpoints of the training state.
@@ -58,6 +64,9 @@ pub struct PretrainSettings {
     pub state_bound: f64,
     /// A candidate must also survive the validation motions multiplied by this (1 asks for the motions alone).
     pub stress_factor: f64,
+    /// The trained states are limited softly from this multiple of their range in the training simulations on; 0 for never,
+    /// as published.
+    pub limit_factor: f64,
 }
 
 impl Default for PretrainSettings {
@@ -72,7 +81,8 @@ impl Default for PretrainSettings {
             encoder_hidden: vec![128, 128],
             decoder_hidden: vec![128, 128],
             memories: Memories { fading_s: vec![1.0], lasting_s: vec![5.0] },
-            epochs: 400,
+            energy_levels: 2,
+            epochs: 250,
             batch: 16,
             learning_rate: 1e-3,
             dynamics_learning_rate: 1e-3,
@@ -84,10 +94,13 @@ impl Default for PretrainSettings {
             linear_start: true,
             mirror: true,
             jitter: true,
+            polish_steps: 8,
+            polish_every: 125,
             validate_every: 5,
             checkpoint_every: 5,
             state_bound: 1e3,
             stress_factor: 1.0,
+            limit_factor: 1.0,
         }
     }
 }
@@ -106,8 +119,11 @@ impl PretrainSettings {
             amplitude_weighting: 0.0,
             linear_start: false,
             memories: Memories::default(),
+            energy_levels: 0,
             mirror: false,
             jitter: false,
+            limit_factor: 0.0,
+            polish_steps: 0,
             ..self.clone()
         }
     }
@@ -123,6 +139,7 @@ impl PretrainSettings {
         list.count("final_segments", self.final_segments, 1, 1000);
         list.widths("encoder_hidden", &self.encoder_hidden);
         list.widths("decoder_hidden", &self.decoder_hidden);
+        list.count("energy_levels", self.energy_levels, 0, 3);
         for (key, times) in
             [("memories.fading_s", &self.memories.fading_s), ("memories.lasting_s", &self.memories.lasting_s)]
         {
@@ -139,6 +156,7 @@ impl PretrainSettings {
         list.count("checkpoint_every", self.checkpoint_every, 1, 1_000_000);
         list.real("state_bound", self.state_bound, "", 1.0, 1e12);
         list.real("stress_factor", self.stress_factor, "", 1.0, 100.0);
+        list.real("limit_factor", self.limit_factor, "", 0.0, 100.0);
         for (key, value) in [
             ("loss.reconstruction", self.loss.reconstruction),
             ("loss.rollout", self.loss.rollout),
@@ -249,7 +267,7 @@ pub struct CalibrateSettings {
     pub penalty_ladder: Vec<f64>,
     /// Gauss–Newton: which terms may move, tried one after the other; the validation events choose.
     pub free_terms: Vec<FreeTerms>,
-    /// Gauss–Newton: most steps for one value of λ_Δ, before and again after thresholding.
+    /// Gauss–Newton: most steps for one value of λ_Δ; thresholding follows.
     pub steps: usize,
     /// Calibrated coefficients below this (per sample) are removed for good at each thresholding.
     pub threshold: f64,

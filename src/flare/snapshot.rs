@@ -10,6 +10,9 @@ use std::path::Path;
 
 const FILE: &str = "training.safetensors";
 
+/// Where a training keeps its state, and under which fingerprint.
+pub type Checkpoint<'a> = Option<(&'a Path, String)>;
+
 /// The state of a training as plain arrays and texts.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Snapshot {

@@ -36,7 +36,7 @@ pub fn judge(model: &SourceModel, cases: &[Case], weight: &[f32], stress_factor:
         let first: Vec<Vec<f32>> = encoded.iter().map(|z| z[..r].iter().map(|z| z * factor).collect()).collect();
         let starts: Vec<Start<'_>> =
             drives.iter().zip(&first).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
-        roll_out(model.shape.library(), model.coefficients(), &starts, bound as f32)
+        roll_out(model.shape.library(), model.coefficients(), &starts, &model.shape.limits(bound as f32))
     };
     let rolled = roll(1.0);
     let stressed = if stress_factor > 1.0 { roll(stress_factor as f32) } else { Vec::new() };

@@ -67,34 +67,16 @@ fn name(site: &Site, problems: &mut Vec<Problem>) {
     }
 }
 
-/// Range checks of `[site]` and its layers.
+/// Range checks of `[site]` and its layers: the column's own, and whether the layers make up the depth.
 pub fn profile_ranges(site: &SiteSection, problems: &mut Vec<Problem>) {
-    let mut range = |key: String, value: f64, unit: &str, lowest: f64, highest: f64| {
-        if !(lowest..=highest).contains(&value) {
-            let name = key.rsplit('.').next().unwrap_or(&key).to_string();
-            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-            problems.push(Problem::new(key, format!("`{name}` must be in {lowest}…{highest}{unit}, got {value}")));
-        }
-    };
-    range("site.depth_m".into(), site.depth_m, "m", 0.5, 2000.0);
-    range("site.elements".into(), site.elements as f64, "", 4.0, 4000.0);
-    if let Some(depth) = site.water_table_m {
-        range("site.water_table_m".into(), depth, "m", 0.0, 2000.0);
-    }
-    range("site.rayleigh.alpha_1_s".into(), site.rayleigh.alpha_1_s, "1/s", 0.0, 100.0);
-    range("site.rayleigh.beta_s".into(), site.rayleigh.beta_s, "s", 0.0, 0.1);
-    for (i, layer) in site.layer.iter().enumerate() {
-        let key = |name: &str| format!("site.layer[{i}].{name}");
-        range(key("thickness_m"), layer.thickness_m, "m", 0.01, 2000.0);
-        range(key("density_kg_m3"), layer.density_kg_m3, "kg/m³", 1000.0, 3500.0);
-        range(key("vs_m_s"), layer.vs_m_s, "m/s", 20.0, 5000.0);
-        range(key("k0"), layer.k0, "", 0.1, 3.0);
-    }
-    let total: f64 = site.layer.iter().map(|l| l.thickness_m).sum();
-    if site.layer.is_empty() {
-        problems
-            .push(Problem::new("site.layer", "the profile has no layer").hint("add `[[site.layer]]`, surface down"));
-    } else if (total - site.depth_m).abs() > 1e-3 {
+    // Whether the laws exist is another question.
+    let Ok(profile) = site.column(|layer| Ok((layer.law.clone(), toml::Table::new()))) else { return };
+    problems.extend(profile.problems().into_iter().map(|(key, what)| {
+        let name = key.rsplit('.').next().unwrap_or(&key);
+        Problem::new(format!("site.{key}"), format!("`{name}` {what}"))
+    }));
+    let total = profile.depth_m();
+    if !site.layer.is_empty() && (total - site.depth_m).abs() > 1e-3 {
         let what = format!("the layers add up to {total:.4} m, but `site.depth_m` = {} m", site.depth_m);
         problems
             .push(Problem::new("site.depth_m", what).hint("the base of the column is the depth of the input sensor"));

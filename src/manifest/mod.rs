@@ -11,7 +11,9 @@ mod sections;
 
 pub use document::{Document, Problem};
 pub use schema::schema;
-pub use sections::{ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, Tolerances};
+pub use sections::{
+    ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, StudySection, Tolerances,
+};
 
 use crate::error::{Context, Error, Result};
 use std::path::{Path, PathBuf};

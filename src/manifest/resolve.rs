@@ -1,12 +1,40 @@
 //! From the sections to what the domain works with: the profile of the column.
 
-use super::{ColumnSections, LayerSection, OutputSection};
+use super::{ColumnSections, LayerSection, OutputSection, SiteSection};
 use crate::column::{Features, Layer, Profile};
 use crate::effects::{self, Array, Effect, Situation};
 use crate::error::{Error, Result};
 
 /// Depth of the water table that means a dry column, m.
 const DRY_M: f64 = 1e6;
+
+impl SiteSection {
+    /// The column of this section, with kind and parameters of each layer's law from `law`.
+    ///
+    /// # Errors
+    /// Those of `law`.
+    pub(super) fn column(&self, law: impl Fn(&LayerSection) -> Result<(String, toml::Table)>) -> Result<Profile> {
+        let layers = self.layer.iter().map(|layer| {
+            let (law_kind, law) = law(layer)?;
+            Ok(Layer {
+                thickness_m: layer.thickness_m,
+                density_kg_m3: layer.density_kg_m3,
+                vs_m_s: layer.vs_m_s,
+                k0: layer.k0,
+                law_kind,
+                law,
+            })
+        });
+        Ok(Profile {
+            layers: layers.collect::<Result<_>>()?,
+            water_table_m: self.water_table_m.unwrap_or(DRY_M),
+            vertical: self.vertical,
+            rayleigh: self.rayleigh,
+            elements: self.elements,
+            features: Features::default(),
+        })
+    }
+}
 
 impl ColumnSections {
     /// Law kind and parameters of `layer`: the table under `[law]` with the layer's own keys laid over it.
@@ -29,25 +57,7 @@ impl ColumnSections {
     /// # Errors
     /// When a layer names an unknown law.
     pub fn declared_profile(&self) -> Result<Profile> {
-        let layers = self.site.layer.iter().map(|layer| {
-            let (law_kind, law) = self.layer_law(layer)?;
-            Ok(Layer {
-                thickness_m: layer.thickness_m,
-                density_kg_m3: layer.density_kg_m3,
-                vs_m_s: layer.vs_m_s,
-                k0: layer.k0,
-                law_kind,
-                law,
-            })
-        });
-        Ok(Profile {
-            layers: layers.collect::<Result<_>>()?,
-            water_table_m: self.site.water_table_m.unwrap_or(DRY_M),
-            vertical: self.site.vertical,
-            rayleigh: self.site.rayleigh,
-            elements: self.site.elements,
-            features: Features::default(),
-        })
+        self.site.column(|layer| self.layer_law(layer))
     }
 
     /// The column with the manifest's `[[effects]]` applied, for motions that belong to no record.

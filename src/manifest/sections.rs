@@ -52,10 +52,21 @@ pub struct Site {
     /// Search and decision of the diagnosis.
     #[serde(default)]
     pub diagnose: DiagnoseSettings,
+    /// What a study of two source models compares this one with.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub study: Option<StudySection>,
     /// Effects added to the declared model: none in a declared manifest, some in a corrected one.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
     pub effects: Vec<toml::Table>,
+}
+
+/// A second source model of the same site.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct StudySection {
+    /// Manifest whose column it has; relative to this manifest.
+    pub other: String,
 }
 
 /// The sections that make a column and its sensors: what a stage that runs columns reads.

@@ -32,6 +32,8 @@ pub struct Closing {
     pub bounds: Vec<Bound>,
     /// Structure that remains.
     pub remainder: Option<Remainder>,
+    /// What the residuals of the last model say by themselves, by output sensor.
+    pub evidence: Vec<SensorEvidence>,
     /// Remarks.
     pub notes: Vec<String>,
 }
@@ -158,4 +160,19 @@ pub struct Remainder {
     pub sensors: Vec<(String, Vec<f64>)>,
     /// Record, peak input acceleration (g) and level.
     pub events: Vec<(String, f64, f64)>,
+}
+
+/// What the residual at one sensor says, whatever effects were tried.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SensorEvidence {
+    /// Sensor name.
+    pub sensor: String,
+    /// Share of the amplitude error that is the same in all events.
+    pub repeatable_share: Option<f64>,
+    /// Largest cross-correlation with the input over the bound for independent ones.
+    pub dependence: Option<f64>,
+    /// Share of the record's power that stays unexplained on validation events, before and after a smooth factor without
+    /// physical meaning.
+    pub generic: Option<[f64; 2]>,
 }

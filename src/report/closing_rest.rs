@@ -6,7 +6,7 @@ use kuva::plot::scatter::MarkerShape;
 
 use super::chart::{self, Axis, Curve, Dots, Frame, Marks};
 use super::closing::{interval, words};
-use super::closing_content::{Bound, Closing, Interval, Remainder};
+use super::closing_content::{Bound, Closing, Interval, Remainder, SensorEvidence};
 use super::figure::{Key, figure, legend};
 use super::number;
 
@@ -16,6 +16,7 @@ pub(super) fn is_any(closing: &Closing) -> bool {
         || !closing.out_of_tolerance.is_empty()
         || closing.remainder.is_some()
         || closing.input_coherent_share.is_some()
+        || !closing.evidence.is_empty()
 }
 
 /// The subsection.
@@ -31,6 +32,7 @@ pub(super) fn rest(closing: &Closing) -> Markup {
         }
         @if !closing.out_of_tolerance.is_empty() { (tolerance(&closing.out_of_tolerance)) }
         @if !closing.bounds.is_empty() { (bounds(&closing.bounds)) }
+        @if !closing.evidence.is_empty() { (evidence(&closing.evidence)) }
         @if let Some(remainder) = &closing.remainder { (structure(remainder)) }
     }
 }
@@ -40,6 +42,31 @@ fn tolerance(alarms: &[(String, f64, Interval)]) -> Markup {
         p { "Declared values that the records put outside their tolerance:" }
         ul { @for (what, deviations, estimate) in alarms {
             li { (what) ": " (interval(estimate)) ", " (number::fixed(*deviations, 1)) " standard deviations from the declared value" }
+        } }
+    }
+}
+
+fn evidence(sensors: &[SensorEvidence]) -> Markup {
+    html! {
+        div.scroll { table {
+            caption {
+                "The residuals by themselves. Repeatable: share of the amplitude error that is the same in all events; below 30 % "
+                "hardly any correction of the site helps. Dependence: largest cross-correlation with the input over the bound for "
+                "independent ones; above 1 the residual still follows the input. Factor: what a smooth complex factor "
+                b { "without physical meaning" } " would leave of the residual power on validation events."
+            }
+            thead { tr { th { "Sensor" } th.n { "Repeatable" } th.n { "Dependence" } th.n { "Factor" } } }
+            tbody { @for s in sensors {
+                tr {
+                    td { (s.sensor) }
+                    td.n { (number::optional(s.repeatable_share.map(|v| 100.0 * v), 0)) " %" }
+                    td.n { (number::optional(s.dependence, 2)) }
+                    td.n { @match s.generic {
+                        Some([before, after]) => { (number::fixed(100.0 * before, 1)) " → " (number::fixed(100.0 * after, 1)) " %" }
+                        None => "no gain",
+                    } }
+                }
+            } }
         } }
     }
 }
@@ -67,20 +94,26 @@ fn structure(remainder: &Remainder) -> Markup {
     }
 }
 
-/// From well below one to above the largest.
+/// One and all levels, with room on either side.
 fn level_range(levels: impl Iterator<Item = f64>) -> (f64, f64) {
-    let top = levels.filter(|v| v.is_finite()).fold(2.0, f64::max);
-    (0.3, top * 1.5)
+    let seen = levels.filter(|v| v.is_finite() && *v > 0.0);
+    let (low, high) = seen.fold((0.5, 2.0), |(a, b), v| (f64::min(a, v), f64::max(b, v)));
+    (low / 1.5, high * 1.5)
 }
 
 fn by_frequency(remainder: &Remainder) -> Markup {
-    let (first, last) = (remainder.edges_hz[0], remainder.edges_hz[remainder.edges_hz.len() - 1]);
+    // The last band is open: it is drawn as wide as the one before.
+    let mut edges_hz = remainder.edges_hz.clone();
+    if let [.., a, b, last] = edges_hz.as_mut_slice() {
+        *last = last.min(*b + (*b - *a));
+    }
+    let (first, last) = (edges_hz[0], edges_hz[edges_hz.len() - 1]);
     let mut curves = vec![level_one(first, last)];
     let mut keys = Vec::new();
     for (i, (sensor, levels)) in remainder.sensors.iter().enumerate() {
         let color = chart::SERIES[i % chart::SERIES.len()];
         let dash = [None, Some("5 2"), Some("2 2")][i / chart::SERIES.len() % 3];
-        let steps = levels.iter().zip(remainder.edges_hz.windows(2));
+        let steps = levels.iter().zip(edges_hz.windows(2));
         let points = steps.flat_map(|(level, edges)| [(edges[0], *level), (edges[1], *level)]).collect();
         curves.push(Curve { points, color, width: 1.8, dash });
         keys.push(Key { name: sensor, color, dash });

@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::closing_content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder,
+    Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder, SensorEvidence,
 };
 
 /// The whole report of one site.
@@ -34,10 +34,38 @@ pub struct Content {
     pub held_out: Vec<Prediction>,
     /// Errors on the held-out events, one per event, component and sensor, in the order shown.
     pub scores: Vec<Score>,
+    /// Two source models side by side.
+    pub study: Option<Study>,
     /// Time spent in each stage, in the order shown.
     pub timings: Vec<Timing>,
     /// Where all of this comes from.
     pub provenance: Provenance,
+}
+
+/// Held-out accuracy with two source models.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Study {
+    /// Names of the source models; the pairs below are in their order.
+    pub sources: [String; 2],
+    /// One for each held-out event and component.
+    pub rows: Vec<StudyRow>,
+    /// Median R² over the rows.
+    pub median_r2: [Pair; 2],
+    /// Median NRMSE over held-out events, components and sensors, %.
+    pub median_nrmse_percent: [Pair; 2],
+}
+
+/// One held-out event and component with two source models.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StudyRow {
+    /// Event.
+    pub event: String,
+    /// Component.
+    pub component: String,
+    /// R² over all sensors.
+    pub r2: [Pair; 2],
 }
 
 /// A uniformly sampled series.
@@ -97,10 +125,28 @@ pub struct Pretrain {
     pub field: Option<FieldPair>,
     /// Depthwise NRMSE of each validation case, %.
     pub cases: Vec<Sample>,
+    /// Rollouts beyond the training.
+    pub guards: Vec<Guard>,
     /// Range of case medians in the published application, %, drawn as a band.
     pub published_range_percent: Option<(f64, f64)>,
     /// Loss terms over training.
     pub losses: Option<Losses>,
+}
+
+/// Rollouts of the validation cases beyond the training, of one kind.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Guard {
+    /// `"doubled"` (motion twice as strong) or `"tenfold"` (motion ten times in a row).
+    pub what: String,
+    /// Cases that stay finite.
+    pub finite: usize,
+    /// All cases.
+    pub of: usize,
+    /// Size of the response against the plain rollout, increasing: peaks (doubled), last repetition to first (tenfold).
+    pub ratios: Vec<f64>,
+    /// Largest share of the samples at which a state is limited.
+    pub limited_share: f64,
 }
 
 /// An acceleration field of the finite-element model and its prediction, on one grid.

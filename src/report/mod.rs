@@ -25,6 +25,7 @@ mod page;
 mod pretrain;
 mod provenance;
 mod scores;
+mod study;
 mod summary;
 mod svg;
 mod thin;
@@ -61,6 +62,7 @@ pub fn render(content: &Content) -> Result<String> {
         summary::section(content),
         closing::section(content),
         scores::section(content),
+        study::section(content),
         held_out::section(content),
         pretrain::section(content),
         distill::section(content),

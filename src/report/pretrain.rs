@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::chart::{self, Axis, Column, Frame};
-use super::content::{Content, FieldPair, Pretrain, Sample};
+use super::content::{Content, FieldPair, Guard, Pretrain, Sample};
 use super::figure::{Section, color_bar, figure};
 use super::heat::{self, Diverging, HeatLook};
 use super::{losses, number, thin};
@@ -16,6 +16,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
             "each is predicted from its first samples and the base motion over its whole length (rollout)." }
         @if let Some(field) = &stage.field { (fields(field)) }
         @if !stage.cases.is_empty() { (cases(stage)) }
+        @if !stage.guards.is_empty() { (guards(&stage.guards)) }
         (losses::losses(stage.losses.as_ref(), "stage 1"))
     };
     Some(Section { id: "stage-1", title: "Stage 1: simulation pretraining".into(), entries: Vec::new(), body })
@@ -79,6 +80,32 @@ fn cases(stage: &Pretrain) -> Markup {
         (band_words(stage.published_range_percent))
     };
     figure(&sample_boxes(&stage.cases, stage.published_range_percent, "Validation case", "NRMSE per depth"), &caption)
+}
+
+fn guards(list: &[Guard]) -> Markup {
+    let words = |what: &str| match what {
+        "doubled" => ("Motion and window twice as strong", "peak against the plain rollout"),
+        _ => ("Motion ten times in a row", "last repetition against the first (RMS)"),
+    };
+    html! {
+        p { "Beyond the training: rollouts of the validation motions where nothing was learnt must stay finite; whether they are "
+            "right is not claimed." }
+        table.narrow {
+            thead { tr { th { "Rollout" } th.n { "Finite" } th { "Response" } th.n { "Median" } th.n { "Largest" } th.n { "Limited" } } }
+            tbody {
+                @for guard in list {
+                    tr {
+                        td { (words(&guard.what).0) }
+                        td.n { (guard.finite) " of " (guard.of) }
+                        td { (words(&guard.what).1) }
+                        td.n { @if let Some(m) = number::median(guard.ratios.iter().copied()) { (number::significant(m)) } }
+                        td.n { @if let Some(m) = guard.ratios.last() { (number::significant(*m)) } }
+                        td.n { (number::fixed(100.0 * guard.limited_share, 1)) " %" }
+                    }
+                }
+            }
+        }
+    }
 }
 
 /// Boxes of NRMSE with the published band; also used for the sensors of stage 2.

@@ -167,6 +167,11 @@ pub trait Law: Send + Sync {
 
     /// Small-strain damping ratio that the law asks for beside its hysteresis.
     fn damping_ratio(&self, point: &Point) -> f64;
+
+    /// Viscosity over elastic stiffness, s: stiffness-proportional damping without which the law is not well posed.
+    fn viscosity_s(&self) -> f64 {
+        0.0
+    }
 }
 
 /// Collects range problems as (key, sentence).

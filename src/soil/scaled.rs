@@ -161,4 +161,8 @@ impl Law for Scaled {
     fn damping_ratio(&self, point: &Point) -> f64 {
         self.law.damping_ratio(point)
     }
+
+    fn viscosity_s(&self) -> f64 {
+        self.law.viscosity_s()
+    }
 }

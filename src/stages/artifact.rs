@@ -1,4 +1,4 @@
-//! Small files that stages hand to one another: JSON documents and tables of histories.
+//! Small files that stages hand to one another: JSON and TOML documents and tables of histories.
 
 use crate::error::{Context, Error, Result};
 use serde::Serialize;
@@ -23,6 +23,24 @@ pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<()> {
 pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let bytes = fs::read(path).context(|| format!("cannot read `{}`", path.display()))?;
     serde_json::from_slice(&bytes).context(|| format!("`{}` does not hold what it should", path.display()))
+}
+
+/// Writes `value` as TOML, which unlike JSON knows infinite numbers.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_toml<T: Serialize>(path: &Path, value: &T) -> Result<()> {
+    let text = toml::to_string(value).context(|| format!("cannot write `{}`", path.display()))?;
+    fs::write(path, text).context(|| format!("cannot write `{}`", path.display()))
+}
+
+/// Reads TOML.
+///
+/// # Errors
+/// When the file is absent or holds something else.
+pub fn read_toml<T: DeserializeOwned>(path: &Path) -> Result<T> {
+    let text = fs::read_to_string(path).context(|| format!("cannot read `{}`", path.display()))?;
+    toml::from_str(&text).context(|| format!("`{}` does not hold what it should", path.display()))
 }
 
 /// Writes histories with a common step as CSV: `time_s` and one column each, shortest exact numbers.
@@ -62,4 +80,25 @@ pub fn read_table(path: &Path) -> Result<Vec<(String, Vec<f64>)>> {
         }
     }
     Ok(columns)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde::Deserialize;
+
+    #[test]
+    fn what_is_open_upwards_comes_back_from_toml() {
+        #[derive(Debug, PartialEq, Serialize, Deserialize)]
+        struct Bound {
+            table: toml::Table,
+            explained: Option<f64>,
+            ci95: [f64; 2],
+        }
+        let dir = tempfile::tempdir().expect("a folder");
+        let table = toml::Table::from_iter([("corner_hz".to_string(), toml::Value::Float(f64::INFINITY))]);
+        let bound = Bound { table, explained: None, ci95: [0.1 + 0.2, f64::INFINITY] };
+        write_toml(&dir.path().join("b.toml"), &bound).expect("written");
+        assert_eq!(read_toml::<Bound>(&dir.path().join("b.toml")).expect("read"), bound);
+    }
 }

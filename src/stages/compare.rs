@@ -21,7 +21,7 @@ pub struct Compare;
 const FILE: &str = "loop.json";
 
 /// `loop.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Loop {
     /// The answer in a word.
     pub verdict: Verdict,
@@ -44,7 +44,7 @@ pub struct Loop {
 }
 
 /// A named effect.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Named {
     /// Name of the effect.
     pub kind: String,
@@ -55,7 +55,7 @@ pub struct Named {
 }
 
 /// An effect that was tried.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Tried {
     /// Name of the effect.
     pub kind: String,
@@ -227,10 +227,19 @@ fn claim(change: &Change) -> String {
     }
 }
 
+/// Of `loop.json` what no diagnosis says.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Compared {
+    /// Six errors of each event, component and sensor.
+    pub errors: Vec<ErrorRow>,
+    /// What the held-out events say.
+    pub summary: Summary,
+}
+
 /// What that stage left in `folder`.
 ///
 /// # Errors
 /// When it is not there.
-pub fn read(folder: &Path) -> Result<Loop> {
+pub fn read(folder: &Path) -> Result<Compared> {
     read_json(&folder.join(FILE))
 }

@@ -65,11 +65,12 @@ impl Stage for Correct {
     }
 }
 
-/// The `[[effects]]` that a diagnosis adds; none unless it names them with confidence or as one of several.
+/// The `[[effects]]` that a diagnosis adds; none unless it names them with confidence or as one of several. Values are
+/// recalibrated before effects are added, as they were when they were fitted: a damping multiplier scales what is declared.
 pub fn correction(diagnosis: &Diagnosis) -> Vec<Table> {
     match diagnosis.verdict {
         Verdict::Known | Verdict::Ambiguous if !diagnosis.effects.is_empty() => {
-            diagnosis.effects.iter().map(|e| &e.table).chain(&diagnosis.corrected_nuisances).cloned().collect()
+            diagnosis.corrected_nuisances.iter().chain(diagnosis.effects.iter().map(|e| &e.table)).cloned().collect()
         }
         _ => Vec::new(),
     }

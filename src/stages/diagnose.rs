@@ -1,6 +1,6 @@
 //! What the declared model lacks, by the records of training and validation events.
 
-use super::artifact::{read_json, write_json};
+use super::artifact::{read_toml, write_json, write_toml};
 use super::null_twins;
 use super::problem::{Bench, READS};
 use crate::diagnosis::{DiagnoseSettings, Diagnosis, diagnose};
@@ -11,7 +11,8 @@ use std::path::Path;
 /// Diagnoses the declared model.
 pub struct Diagnose;
 
-const FILE: &str = "diagnosis.json";
+/// For stages; the same is beside it as JSON, where what is open upwards is `null`.
+const FILE: &str = "diagnosis.toml";
 
 impl Stage for Diagnose {
     fn kind(&self) -> &'static str {
@@ -30,12 +31,17 @@ impl Stage for Diagnose {
         READS
     }
 
+    fn publishes(&self) -> &'static [&'static str] {
+        &["diagnosis.json"]
+    }
+
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let bench = Bench::of(task)?;
         let settings: DiagnoseSettings = task.section("diagnose")?;
         let thresholds = null_twins::read(task.input("thresholds")?)?;
         let found = diagnose(&bench.problem, &bench, &settings, &thresholds, task.progress())?;
-        write_json(&task.output_dir().join(FILE), &found)
+        write_json(&task.output_dir().join("diagnosis.json"), &found)?;
+        write_toml(&task.output_dir().join(FILE), &found)
     }
 }
 
@@ -44,5 +50,5 @@ impl Stage for Diagnose {
 /// # Errors
 /// When it is not there.
 pub fn read(folder: &Path) -> Result<Diagnosis> {
-    read_json(&folder.join(FILE))
+    read_toml(&folder.join(FILE))
 }

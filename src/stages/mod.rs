@@ -11,6 +11,7 @@ mod evaluate;
 mod instrument;
 mod motions;
 mod null_twins;
+mod other_source;
 pub mod predict;
 mod pretrain;
 mod problem;
@@ -20,6 +21,7 @@ mod report;
 mod report_closing;
 mod shake;
 mod simulate;
+mod source_study;
 pub mod twins;
 
 pub use evaluate::Evaluation;
@@ -45,5 +47,7 @@ pub const STAGES: &[&dyn Stage] = &[
     &compare::Compare,
     &twins::TwinThresholds,
     &twins::Twins,
+    &other_source::OtherSource,
+    &source_study::SourceStudy,
     &report::Report,
 ];

@@ -3,7 +3,7 @@
 use super::artifact::{read_json, write_json};
 use super::dataset;
 use crate::error::Result;
-use crate::flare::{Case, PretrainSettings, SourceModel, pretrain};
+use crate::flare::{Case, Guard, PretrainSettings, SourceModel, pretrain};
 use crate::metrics::nrmse_percent;
 use crate::pipeline::{Stage, Task};
 use rayon::prelude::*;
@@ -20,6 +20,10 @@ pub struct ValidationCase {
     pub case: String,
     /// NRMSE at each dense channel over the whole motion after the first window, %.
     pub nrmse_percent: Vec<f64>,
+    /// The motion twice as strong.
+    pub doubled: Guard,
+    /// The motion ten times in a row.
+    pub tenfold: Guard,
 }
 
 impl Stage for Pretrain {
@@ -32,7 +36,7 @@ impl Stage for Pretrain {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -46,8 +50,9 @@ impl Stage for Pretrain {
         let train = dataset::cases(folder, &card.train)?;
         let validation = dataset::cases(folder, &card.validation)?;
         let seed: u64 = task.section("motions.seed")?;
-        let (model, history) =
+        let (mut model, history) =
             pretrain(&train, &validation, &settings, seed, Some(task.checkpoint_dir()?), task.progress())?;
+        model.limit_softly(&train, settings.limit_factor);
         model.save(task.output_dir(), &card.source_normalisation())?;
         history.save(&task.output_dir().join("history.csv"))?;
         let errors: Vec<ValidationCase> =
@@ -64,7 +69,12 @@ fn validate(model: &SourceModel, case: &Case) -> Result<ValidationCase> {
     let column =
         |field: &[f32], j: usize| field.iter().skip(n + j).step_by(n).map(|v| f64::from(*v)).collect::<Vec<_>>();
     let nrmse = (0..n).map(|j| nrmse_percent(&column(&predicted, j), &column(target, j))).collect();
-    Ok(ValidationCase { case: case.id.clone(), nrmse_percent: nrmse })
+    Ok(ValidationCase {
+        case: case.id.clone(),
+        nrmse_percent: nrmse,
+        doubled: model.guard_doubled(case),
+        tenfold: model.guard_tenfold(case),
+    })
 }
 
 /// The validation errors that stage left in `folder`.

@@ -25,7 +25,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -40,7 +40,7 @@ impl Stage for Records {
         let settings: RecordSettings = section(parameters, "records")?;
         let sensors: SensorsSection = section(parameters, "sensors")?;
         if settings.format == "twin" {
-            return Ok(settings.truth.iter().map(PathBuf::from).collect());
+            return Ok(settings.truth.iter().flat_map(|truth| Truth::files(Path::new(truth))).collect());
         }
         let format = (registry::find("record format", FORMATS, &settings.format)?.build)(settings.options.clone())?;
         let dir = PathBuf::from(settings.dir.clone().unwrap_or_default());

@@ -3,18 +3,18 @@
 use super::artifact::{read_json, read_table, write_json};
 use super::evaluate::{self, Both, Evaluation};
 use super::motions::MotionSummary;
-use super::{dataset, distill, motions, pretrain, report_closing};
+use super::{dataset, distill, motions, pretrain, report_closing, source_study};
 use crate::error::{Context, Result};
-use crate::flare::{Calibration, SourceModel, SparseEncoder, reconstruct};
+use crate::flare::{Calibration, Guard, SourceModel, SparseEncoder, reconstruct};
 use crate::metrics::{DAMPING, Quartiles, log_periods_s, median, psa, timewise_error_percent};
 use crate::motion::{MotionSettings, parse_cases};
 use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::{Stage, Task};
 use crate::records::Split;
 use crate::report::content::{
-    Calibration as CalibrationContent, Content, Distill as DistillContent, FieldPair, LossTerm, Losses, MotionCase,
-    Motions as MotionsContent, Pair, Prediction, Pretrain as PretrainContent, Provenance, Sample, Score, Series,
-    Spectrum, StageOrigin, TimewiseError, Trace,
+    Calibration as CalibrationContent, Content, Distill as DistillContent, FieldPair, Guard as GuardContent, LossTerm,
+    Losses, MotionCase, Motions as MotionsContent, Pair, Prediction, Pretrain as PretrainContent, Provenance, Sample,
+    Score, Series, Spectrum, StageOrigin, TimewiseError, Trace,
 };
 use crate::report::render;
 use serde_json::{Map, Value, json};
@@ -111,13 +111,45 @@ fn metrics(task: &Task<'_>, evaluation: &Evaluation) -> Result<Value> {
     Ok(json!({
         "site": task.section::<String>("name")?,
         "stages": {
-            "pretrain": { "validation": validation, "median_nrmse_percent": median(&all) },
+            "pretrain": {
+                "validation": validation,
+                "median_nrmse_percent": median(&all),
+                "guards": guards(&cases).iter().map(guard_metrics).collect::<Vec<Value>>(),
+            },
             "distill": { "sensors": sensors },
             "calibrate": components,
         },
         "test": test,
         "test_pooled": pooled,
     }))
+}
+
+/// Rollouts beyond the training.
+fn guards(cases: &[pretrain::ValidationCase]) -> [GuardContent; 2] {
+    let kind = |what: &str, of: &dyn Fn(&pretrain::ValidationCase) -> Guard| {
+        let list: Vec<Guard> = cases.iter().map(of).collect();
+        let mut ratios: Vec<f64> = list.iter().filter_map(|g| g.ratio).collect();
+        ratios.sort_by(f64::total_cmp);
+        GuardContent {
+            what: what.to_string(),
+            finite: list.iter().filter(|g| g.is_finite).count(),
+            of: list.len(),
+            ratios,
+            limited_share: list.iter().map(|g| g.limited_share).fold(0.0, f64::max),
+        }
+    };
+    [kind("doubled", &|c| c.doubled), kind("tenfold", &|c| c.tenfold)]
+}
+
+fn guard_metrics(guard: &GuardContent) -> Value {
+    json!({
+        "what": guard.what,
+        "finite": guard.finite,
+        "of": guard.of,
+        "median_ratio": if guard.ratios.is_empty() { None } else { Some(median(&guard.ratios)) },
+        "largest_ratio": guard.ratios.last(),
+        "largest_limited_share": guard.limited_share,
+    })
 }
 
 fn content(task: &Task<'_>, evaluation: &Evaluation, axis: evaluate::Axis) -> Result<Content> {
@@ -140,6 +172,7 @@ fn content(task: &Task<'_>, evaluation: &Evaluation, axis: evaluate::Axis) -> Re
         distill: Some(distill_content(task)?),
         calibrate: calibrate_content(task)?,
         closing: report_closing::content(task)?,
+        study: source_study::content(task)?,
         held_out: held_out(task, evaluation, axis)?,
         scores: scores(evaluation),
         timings: Vec::new(),
@@ -190,10 +223,12 @@ fn pretrain_content(task: &Task<'_>) -> Result<PretrainContent> {
             model_m_s2: physical(&model.roll_out(&case)?),
         });
     }
+    let guards = guards(&cases).to_vec();
     let samples = cases.into_iter().map(|c| Sample { label: c.case, values: c.nrmse_percent });
     Ok(PretrainContent {
         field,
         cases: samples.collect(),
+        guards,
         published_range_percent: None,
         losses: losses(&folder.join("history.csv"))?,
     })
@@ -343,9 +378,18 @@ fn provenance(task: &Task<'_>) -> Result<Provenance> {
         records.remove("truth");
     }
     let mut stages = Vec::new();
-    for role in
-        ["motions", "simulate", "dataset", "pretrain", "distill", "calibrate", "evaluate", "diagnose", "compare"]
-    {
+    for role in [
+        "motions",
+        "simulate",
+        "dataset",
+        "pretrain",
+        "distill",
+        "calibrate",
+        "evaluate",
+        "diagnose",
+        "compare",
+        "study",
+    ] {
         if !task.has_input(role) {
             continue;
         }

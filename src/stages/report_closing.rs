@@ -6,7 +6,9 @@ use crate::effects::{self, Class};
 use crate::error::Result;
 use crate::pipeline::Task;
 use crate::records::Split;
-use crate::report::content::{Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder};
+use crate::report::content::{
+    Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder, SensorEvidence,
+};
 use crate::units::G_M_S2;
 
 /// The section's content, where the pipeline closes the loop.
@@ -55,6 +57,7 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
         out_of_tolerance: alarms.map(|a| (a.what.clone(), a.deviations, interval(&a.estimate))).collect(),
         bounds: bounds(&diagnosis),
         remainder: remainder(&diagnosis),
+        evidence: sensor_evidence(&diagnosis),
         notes: diagnosis.notes,
     }))
 }
@@ -143,4 +146,15 @@ fn remainder(diagnosis: &Diagnosis) -> Option<Remainder> {
             .map(|e| (format!("{} {}", e.event, e.component), e.input_pga_m_s2 / G_M_S2, e.level))
             .collect(),
     })
+}
+
+fn sensor_evidence(diagnosis: &Diagnosis) -> Vec<SensorEvidence> {
+    let found = &diagnosis.evidence;
+    let of = |(sensor, share): (&String, &f64)| SensorEvidence {
+        sensor: sensor.clone(),
+        repeatable_share: Some(*share),
+        dependence: found.dependence.get(sensor).copied(),
+        generic: found.generic.get(sensor).map(|g| g.validation),
+    };
+    found.repeatable_share.iter().map(of).collect()
 }

@@ -6,6 +6,7 @@ use crate::dataset::sensor_histories;
 use crate::effects::{Effect, Situation};
 use crate::error::{Context, Error, Result};
 use crate::manifest::ColumnSections;
+use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::{Item, Task, content_hash};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -14,7 +15,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 /// Kind and version of the cache entries of single runs.
-const REPLAY: (&str, u32) = ("replayed", 2);
+const REPLAY: (&str, u32) = ("replayed", 3);
 const FILE: &str = "response_m_s2.f32";
 
 /// A true motion of the base.
@@ -61,7 +62,10 @@ pub fn shake(
     }
     let run = |i: usize| -> Result<Vec<Vec<f64>>> {
         let motion = &motions[i];
-        let histories = sensor_histories(&columns[&keys[i]], motion.dt_s, motion.acceleration_m_s2, &depths_m)?;
+        // Between the samples of a coarser record lies a band-limited motion, not a straight line.
+        let dt_s = motion.dt_s.min(sections.analysis.output_step_s);
+        let base_m_s2 = resample_band_limited(motion.acceleration_m_s2, motion.dt_s, dt_s);
+        let histories = sensor_histories(&columns[&keys[i]], dt_s, &base_m_s2, &depths_m)?;
         Ok(histories.into_iter().skip(1).collect())
     };
     let Some(task) = task else {

@@ -35,7 +35,7 @@ impl Stage for Simulate {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -138,6 +138,7 @@ fn simulate(
     let summary = run.map_err(|failure| Error::new(failure.to_string()).at(format!("motion `{}`", motion.id)))?;
     writer.note("steps", summary.steps);
     writer.note("cuts", summary.cuts);
+    writer.note("fronts", summary.fronts);
     writer.note("newton_iterations", summary.newton_iterations);
     writer.finish()
 }

@@ -1,6 +1,6 @@
 //! Twins of an array by the dozen: records of a drawn truth, diagnosis, errors on held-out events, each twin cached.
 
-use super::artifact::{read_json, write_json};
+use super::artifact::{read_toml, write_json, write_toml};
 use super::correct::correction;
 use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
@@ -26,7 +26,8 @@ pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
 const TWIN: (&str, u32) = ("twin", 1);
-const FILE: &str = "twins.json";
+/// For the command; the same is beside it as JSON, where what is open upwards is `null`.
+const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
 const STEP_S: f64 = 0.05;
 
@@ -86,7 +87,7 @@ impl Stage for Twins {
     }
 
     fn publishes(&self) -> &'static [&'static str] {
-        &[FILE]
+        &["twins.json"]
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
@@ -96,16 +97,18 @@ impl Stage for Twins {
         let cases = stand.matrix.cases(&stand.truth, &array, stand.seed)?;
         let items = cases.iter().map(|case| stand.item(task, case, &thresholds)).collect::<Result<Vec<_>>>()?;
         let outcomes = task.items(TWIN.0, TWIN.1, &items, |i, folder| {
-            write_json(&folder.join("twin.json"), &stand.outcome(&cases[i], &thresholds)?)
+            write_toml(&folder.join("twin.toml"), &stand.outcome(&cases[i], &thresholds)?)
         })?;
         let (mut done, mut failed) = (Vec::new(), Vec::new());
         for outcome in outcomes {
             match outcome.output {
-                Ok(folder) => done.push(read_json::<Outcome>(&folder.join("twin.json"))?),
+                Ok(folder) => done.push(read_toml::<Outcome>(&folder.join("twin.toml"))?),
                 Err(reason) => failed.push((outcome.id, reason)),
             }
         }
-        write_json(&task.output_dir().join(FILE), &Report::new(stand.seed, done, failed))
+        let report = Report::new(stand.seed, done, failed);
+        write_json(&task.output_dir().join("twins.json"), &report)?;
+        write_toml(&task.output_dir().join(FILE), &report)
     }
 }
 
@@ -114,7 +117,7 @@ impl Stage for Twins {
 /// # Errors
 /// When it is not there.
 pub fn read(folder: &Path) -> Result<Report> {
-    read_json(&folder.join(FILE))
+    read_toml(&folder.join(FILE))
 }
 
 /// What every twin shares.

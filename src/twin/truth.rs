@@ -8,7 +8,8 @@ use crate::records::Noise;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use toml::Table;
 
 /// A truth file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -17,6 +18,9 @@ pub struct Truth {
     /// A sentence about this truth.
     #[serde(default)]
     pub about: String,
+    /// A truth file in the same folder from which comes what this one does not say; its effects do not count.
+    #[serde(default)]
+    pub like: Option<String>,
     /// The site manifest it belongs to, relative to the truth file; `flare-pipe twin` starts from it.
     pub site: String,
     /// Seed of the draws, the event motions and the noise.
@@ -36,17 +40,31 @@ pub struct Truth {
     /// Law parameters that differ from the declared ones, by law name.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, serde_json::Map<String, serde_json::Value>>")]
-    pub law: BTreeMap<String, toml::Table>,
+    pub law: BTreeMap<String, Table>,
     /// Events of the array.
     pub event: Vec<EventSection>,
     /// Effects that hold and are not declared.
     #[serde(default)]
     #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
-    pub effects: Vec<toml::Table>,
+    pub effects: Vec<Table>,
     /// What holds and no effect of the catalogue describes.
     #[serde(default)]
     #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
-    pub outside: Vec<toml::Table>,
+    pub outside: Vec<Table>,
+}
+
+fn read(path: &Path) -> Result<String> {
+    std::fs::read_to_string(path).context(|| format!("cannot read the truth file `{}`", path.display()))
+}
+
+/// The value of the key `like`.
+fn like(text: &str) -> Option<String> {
+    let table: Table = toml::from_str(text).ok()?;
+    table.get("like")?.as_str().map(String::from)
+}
+
+fn beside(path: &Path, name: &str) -> PathBuf {
+    path.parent().unwrap_or(Path::new(".")).join(name)
 }
 
 fn default_mesh_factor() -> usize {
@@ -79,12 +97,30 @@ impl Truth {
     /// # Errors
     /// When it cannot be read, is no TOML, or a value is out of range.
     pub fn load(path: &Path) -> Result<Self> {
-        let text =
-            std::fs::read_to_string(path).context(|| format!("cannot read the truth file `{}`", path.display()))?;
-        let truth: Self = toml::from_str(&text)
-            .map_err(|e| Error::new(e.to_string().trim().to_string()).at(format!("`{}`", path.display())).usage())?;
-        truth.check().map_err(|e| e.at(format!("`{}`", path.display())))?;
+        let place = || format!("`{}`", path.display());
+        let text = read(path)?;
+        let usage = |e: &toml::de::Error| Error::new(e.to_string().trim().to_string()).at(place()).usage();
+        let truth: Self = match like(&text) {
+            None => toml::from_str(&text).map_err(|e| usage(&e))?,
+            Some(like) => {
+                let own: Table = toml::from_str(&text).map_err(|e| usage(&e))?;
+                let other = read(&beside(path, &like)).map_err(|e| e.at(place()))?;
+                let mut table: Table = toml::from_str(&other).map_err(|e| usage(&e).at(format!("`{like}`")))?;
+                for key in ["about", "effects", "outside"] {
+                    table.remove(key);
+                }
+                table.extend(own);
+                table.try_into().map_err(|e| usage(&e))?
+            }
+        };
+        truth.check().map_err(|e| e.at(place()))?;
         Ok(truth)
+    }
+
+    /// The files that [`Truth::load`] reads for `path`.
+    pub fn files(path: &Path) -> Vec<PathBuf> {
+        let like = read(path).ok().and_then(|text| like(&text));
+        std::iter::once(path.to_path_buf()).chain(like.map(|name| beside(path, &name))).collect()
     }
 
     /// Components of the events, in alphabetical order.

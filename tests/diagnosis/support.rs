@@ -1,6 +1,6 @@
 //! A small array and twins of it.
 
-use flare_pipe::column::{Analysis, Column, Layer, Profile, Rayleigh, Vertical};
+use flare_pipe::column::{Analysis, Column, Features, Layer, Profile, Rayleigh, Vertical};
 use flare_pipe::dataset::sensor_histories;
 use flare_pipe::diagnosis::{DiagnoseSettings, Event, NoiseSpectrum, Problem, Replay};
 use flare_pipe::effects::{self, Array, Direction, Recording, Situation};
@@ -39,7 +39,7 @@ pub fn profile(elements: usize) -> Profile {
         vertical: Vertical::Free,
         rayleigh: Rayleigh::default(),
         elements,
-        features: flare_pipe::column::Features::default(),
+        features: Features::default(),
     }
 }
 

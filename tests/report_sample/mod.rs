@@ -185,6 +185,21 @@ fn prediction(event: (&str, usize, f64), component: &str, seed: u64) -> (Predict
 }
 
 /// A loop that was closed: two effects, five of six events better, one not.
+fn study() -> Study {
+    let pair = |fe: f64, flare_t: f64| Pair { fe: Some(fe), flare_t: Some(flare_t) };
+    let row = |event: &str| StudyRow {
+        event: event.into(),
+        component: "EW".into(),
+        r2: [pair(0.62, 0.91), Pair { fe: None, flare_t: Some(0.86) }],
+    };
+    Study {
+        sources: ["lotung".into(), "lotung-baseline".into()],
+        rows: vec![row("LSST07"), row("LSST14")],
+        median_r2: [pair(0.62, 0.91), pair(0.55, 0.86)],
+        median_nrmse_percent: [pair(58.0, 30.2), pair(63.0, 34.9)],
+    }
+}
+
 fn closing() -> Closing {
     let interval =
         |value: f64, half: f64, unit: &str| Interval { value, unit: unit.into(), ci95: [value - half, value + half] };
@@ -271,6 +286,15 @@ fn closing() -> Closing {
                 .collect(),
             events: EVENTS.iter().map(|(name, _, pga)| ((*name).to_string(), 0.1 * pga, 1.1)).collect(),
         }),
+        evidence: SENSORS
+            .iter()
+            .map(|(name, depth)| SensorEvidence {
+                sensor: (*name).into(),
+                repeatable_share: Some(0.6),
+                dependence: Some(1.3),
+                generic: (*depth == 0.0).then_some([0.08, 0.05]),
+            })
+            .collect(),
         notes: vec!["Two of twelve records have a quiet stretch before the event.".into()],
     }
 }
@@ -328,6 +352,13 @@ fn build() -> Content {
         pretrain: Some(Pretrain {
             field: Some(field()),
             cases: (81..=100).map(|i| spread(format!("{i:03}"), 12.0 + f64::from(i % 7), 100, i as u64)).collect(),
+            guards: vec![Guard {
+                what: "doubled".into(),
+                finite: 20,
+                of: 20,
+                ratios: vec![1.7, 1.9, 2.1],
+                limited_share: 0.02,
+            }],
             published_range_percent: Some((10.0, 26.0)),
             losses: Some(losses(&["reconstruction", "latent", "rollout", "derivative", "sparsity"], 900, 21)),
         }),
@@ -340,6 +371,7 @@ fn build() -> Content {
         }),
         calibrate: vec![calibration("EW", 31), calibration("NS", 32)],
         closing: Some(closing()),
+        study: Some(study()),
         held_out,
         scores,
         timings: vec![

@@ -167,7 +167,11 @@ fn many_points_around_a_law_give_the_same_bytes_as_one() {
 
 #[test]
 fn features_of_no_strength_leave_the_column_as_it_is_to_the_last_bit() {
-    let plain = lotung(40);
+    // An element that may slip has no viscosity, so there is none to begin with.
+    let mut plain = lotung(40);
+    for layer in &mut plain.layers {
+        layer.law = "viscosity_s = 0.0".parse().expect("TOML");
+    }
     let mut nothing = plain.clone();
     nothing.features = Features {
         softenings: vec![SofteningZone { top_m: 0.0, bottom_m: 17.0, ru_at_reference: 0.0, exponent: 1.5 }],
@@ -200,5 +204,29 @@ fn a_softening_column_is_slower_after_the_strong_phase_and_finishes() {
         let late = crate::support::relative_rms(&part(&softer, 1500, 3001), &part(&declared, 1500, 3001));
         println!("{zone:?}: {summary:?} (declared {before:?}), differs by {early:.3} early and {late:.3} late");
         assert!(early < 0.02 && late > 0.15);
+    }
+}
+
+#[test]
+fn closed_cycles_around_a_law_create_no_energy() {
+    for kind in KINDS {
+        let laws: [(&str, Box<dyn Law>); 3] = [
+            ("softened", Box::new(softened(kind, 1.0))),
+            ("rated", Box::new(rated(kind, "", 0.1))),
+            ("slider", Box::new(Slider::new(build(kind, ""), 8e3))),
+        ];
+        for (name, law) in laws {
+            for amplitude in [1e-5, 1e-4, 1e-3] {
+                let gammas: Vec<f64> = cycles(amplitude, 5, 400).collect();
+                let (responses, _) = walk(law.as_ref(), gammas.iter().copied(), 0.005);
+                let (mut work, mut largest, mut last) = (0.0, 0.0_f64, (0.0, 0.0));
+                for (gamma, response) in gammas.iter().zip(&responses) {
+                    work += 0.5 * (last.1 + response.tau_pa) * (gamma - last.0);
+                    largest = largest.max(response.tau_pa.abs());
+                    last = (*gamma, response.tau_pa);
+                }
+                assert!(work > -1e-6 * largest * amplitude, "{name} {kind} at {amplitude:e}: {work:e} J/m³");
+            }
+        }
     }
 }

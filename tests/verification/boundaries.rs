@@ -71,6 +71,15 @@ fn compliant_base_matches_the_exact_solution() {
 }
 
 #[test]
+fn undamped_layers_on_a_half_space_match_the_exact_solution() {
+    // Only radiation takes energy away, so the coda of layers without any damping ends.
+    let profile = Profile { features: base(0.3), ..two_layers(100, Rayleigh::default()) };
+    let found = miss(&profile, 0.0005);
+    println!("undamped: complex transfer function within {found:.2e}");
+    assert!(found < 4e-3);
+}
+
+#[test]
 fn compliant_base_tends_to_the_rigid_one_and_converges_with_the_square_of_the_mesh() {
     let motion = pulse(0.002, 5.0, 3.0);
     let surface = |q: f64| -> Vec<f64> {

@@ -100,3 +100,29 @@ fn paths_do_not_depend_on_the_step() {
         assert!((coarse / fine - 1.0).abs() < 5e-3, "{kind}");
     }
 }
+
+#[test]
+fn cyclic_paths_do_not_depend_on_the_step() {
+    // Triangles of ±0.05 % whose corners every step size meets.
+    for kind in KINDS {
+        let law = build(kind, "");
+        let end = |pieces: usize| {
+            let mut state = vec![0.0; law.n_state()];
+            law.start(&point(), &mut state).expect("a start");
+            let mut next = state.clone();
+            let mut taus = Vec::new();
+            for (quarters, sign) in [(1, 1.0), (2, -1.0), (2, 1.0), (2, -1.0), (2, 1.0)] {
+                for _ in 0..quarters * pieces {
+                    let step = Increment::new(sign * 5e-4 / pieces as f64, 0.0);
+                    taus.push(law.update(step, &state, &mut next).expect("a response").tau_pa);
+                    std::mem::swap(&mut state, &mut next);
+                }
+            }
+            taus.into_iter().skip(pieces - 1).step_by(pieces).collect::<Vec<f64>>()
+        };
+        let (coarse, fine) = (end(10), end(1000));
+        let miss = crate::support::relative_rms(&coarse, &fine);
+        println!("{kind}: 10 against 1000 increments a quarter cycle {miss:.2e}");
+        assert!(miss < 1e-2, "{kind}: {coarse:?} {fine:?}");
+    }
+}

@@ -1,12 +1,12 @@
 //! The undrained 0.02 g column against the independent one.
 
 use crate::reference::columns;
-use crate::robustness::spike;
+use crate::robustness::overshoot;
 use crate::support::{layer, peak, profile, rayleigh, relative_rms, shake};
 use flare_pipe::column::{Analysis, Profile};
 
 /// The reference's column: four velocities, G₀ as given there, uniform elements, and that code's two conventions: moduli
-/// without p_t, and α_in moved at every reversal. With ours for the second the surface peak is 0.0389 g, not 0.0407 g.
+/// without p_t, and α_in moved at every reversal, and like that code no viscosity. With ours for the second the surface peak is 0.0389 g, not 0.0407 g.
 pub fn reference_profile() -> Profile {
     let h = 0.085;
     let soil = |count: f64, vs: f64, g_0: f64| {
@@ -15,7 +15,7 @@ pub fn reference_profile() -> Profile {
             1900.0,
             vs,
             "sanisand",
-            &format!("g_0 = {g_0}\np_t_in_moduli = false\nreset_on_reversal = true"),
+            &format!("g_0 = {g_0}\np_t_in_moduli = false\nreset_on_reversal = true\nviscosity_s = 0.0"),
         )
     };
     let layers =
@@ -28,19 +28,24 @@ fn weak_motion_column_agrees_with_the_independent_one() {
     let (Some(base), Some(reference)) = (columns("base_motion_pga020.csv"), columns("col_pt005_pga020_acc.csv")) else {
         return;
     };
-    let (rows, summary) = shake(&reference_profile(), &Analysis::default(), 0.005, &base[1]);
-    println!("{summary:?}");
-    let at = |k: usize| -> Vec<f64> { rows[1..=reference[0].len()].iter().map(|r| r[k]).collect() };
-    let between = |a: Vec<f64>, b: Vec<f64>| -> Vec<f64> { a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect() };
-    for (name, ours, theirs) in [
-        ("surface", at(0), &reference[2]),
-        ("6.035 m", between(at(71), at(72)), &reference[3]),
-        ("10.965 m", between(at(129), at(130)), &reference[4]),
-    ] {
-        let miss = relative_rms(&ours, theirs);
-        let (a, b) = (peak(&ours) / 9.806_65, peak(theirs) / 9.806_65);
-        println!("{name}: peak {a:.4} g against {b:.4} g, relative rms difference {miss:.4}");
-        assert!(miss < 0.03 && (a / b - 1.0).abs() < 0.01, "{name}");
+    // Stepped as that code is (Newmark, 5 ms throughout), and as ours is by default. The reference holds its own 5 ms: at
+    // 1 ms ours moves away from both by 9 to 10 %, which is the error of 5 ms steps in a motion to 10 Hz.
+    let like_it = Analysis { hht_alpha: 0.0, max_jump: f64::INFINITY, initial_step_s: 0.005, ..Analysis::default() };
+    for (analysis, limit) in [(like_it, 0.02), (Analysis::default(), 0.03)] {
+        let (rows, summary) = shake(&reference_profile(), &analysis, 0.005, &base[1]);
+        println!("{summary:?}");
+        let at = |k: usize| -> Vec<f64> { rows[1..=reference[0].len()].iter().map(|r| r[k]).collect() };
+        let between = |a: Vec<f64>, b: Vec<f64>| -> Vec<f64> { a.iter().zip(&b).map(|(a, b)| 0.5 * (a + b)).collect() };
+        for (name, ours, theirs) in [
+            ("surface", at(0), &reference[2]),
+            ("6.035 m", between(at(71), at(72)), &reference[3]),
+            ("10.965 m", between(at(129), at(130)), &reference[4]),
+        ] {
+            let miss = relative_rms(&ours, theirs);
+            let (a, b) = (peak(&ours) / 9.806_65, peak(theirs) / 9.806_65);
+            println!("{name}: peak {a:.4} g against {b:.4} g, relative rms difference {miss:.4}");
+            assert!(miss < limit && (a / b - 1.0).abs() < 0.01, "{name}");
+        }
     }
 }
 
@@ -83,7 +88,11 @@ fn strong_undrained_motion_finishes_where_the_independent_column_does_not() {
     let Some(base) = columns("base_motion_pga100.csv") else { return };
     let (rows, summary) = shake(&reference_profile(), &Analysis::default(), 0.005, &base[1]);
     let surface: Vec<f64> = rows.iter().map(|r| r[0]).collect();
-    println!("{summary:?}, peak {:.4} g, spike {:.3}", peak(&surface) / 9.806_65, spike(&surface));
+    println!(
+        "{summary:?}, peak {:.4} g, single samples stand out by {:.3}",
+        peak(&surface) / 9.806_65,
+        overshoot(&surface)
+    );
     assert_eq!(rows.len(), base[1].len());
-    assert!(summary.cuts < 30 && spike(&surface) < 0.3);
+    assert!(summary.cuts < 30 && overshoot(&surface) < 0.3);
 }

@@ -1,6 +1,6 @@
 //! Strong undrained motions: every run finishes, smoothly.
 
-use crate::support::{layer, lotung, peak, profile, shake};
+use crate::support::{layer, lotung, peak, profile, relative_rms, shake};
 use flare_pipe::column::{Analysis, Column, Layer, Rayleigh, Vertical};
 use rand::RngExt;
 use std::time::Instant;
@@ -35,26 +35,62 @@ pub fn spike(x: &[f64]) -> f64 {
     jump / peak(x)
 }
 
+/// Largest departure of a single sample beyond both its neighbours, over the peak; a front, which stays, has none.
+pub fn overshoot(x: &[f64]) -> f64 {
+    let beyond = |w: &[f64]| (w[1] - w[0].max(w[2])).max(w[0].min(w[2]) - w[1]);
+    x.windows(3).map(beyond).fold(0.0, f64::max) / peak(x)
+}
+
+/// Overshoot at the surface and in every element, and the row of the largest.
+fn overshoots(rows: &[Vec<f64>]) -> (f64, usize) {
+    let at = |k: usize| overshoot(&rows.iter().map(|r| r[k]).collect::<Vec<f64>>());
+    (0..rows[0].len()).map(|k| (at(k), k)).fold((0.0, 0), |most, x| if x.0 > most.0 { x } else { most })
+}
+
 #[test]
-fn undrained_lotung_motions_of_every_strength_finish_smoothly() {
-    // A trace of stiffness-proportional damping (0.6 % at 10 Hz) rounds the unloading fronts of the undamped law.
-    let mut profile = lotung(200);
+fn undrained_lotung_motions_of_every_strength_finish_without_spikes_at_any_depth() {
+    let profile = lotung(200);
     for (seed, pga_g) in [(1, 0.0075), (2, 0.02), (3, 0.05), (5, 0.112), (7, 0.112), (8, 0.1)] {
-        for beta_s in [0.0, 2e-4] {
-            profile.rayleigh.beta_s = beta_s;
-            let start = Instant::now();
-            let base = motion(seed, pga_g, 15.0);
-            let (rows, summary) = shake(&profile, &Analysis::default(), 0.005, &base);
-            let elapsed_s = start.elapsed().as_secs_f64();
-            let spikes = [0, 71, 129].map(|k| spike(&rows.iter().map(|r| r[k]).collect::<Vec<f64>>()));
-            println!("{pga_g} g, β {beta_s} s: {summary:?}, {elapsed_s:.2} s, spikes at 0, 6, 11 m {spikes:.3?}");
-            assert_eq!(rows.len(), 3001);
-            if beta_s > 0.0 {
-                assert_eq!(summary.cuts, 0);
-                assert!(spikes[0] < 0.3);
-            }
-        }
+        let start = Instant::now();
+        let (rows, summary) = shake(&profile, &Analysis::default(), 0.005, &motion(seed, pga_g, 15.0));
+        let elapsed_s = start.elapsed().as_secs_f64();
+        let (largest, row) = overshoots(&rows);
+        println!(
+            "{pga_g} g: {summary:?}, {elapsed_s:.2} s, single samples stand out by {largest:.3} at most, in row {row}"
+        );
+        assert_eq!(rows.len(), 3001);
+        assert_eq!(summary.cuts, 0);
+        assert!(largest < 0.3);
     }
+}
+
+#[test]
+fn strong_undrained_motion_does_not_depend_on_the_mesh_or_the_step() {
+    // Without the law's trace of viscosity the difference at depth is 0.5 and more, and the peak grows with the mesh.
+    let base = motion(5, 0.112, 8.0);
+    let fine = Analysis { max_step_s: 0.000_625, initial_step_s: 0.000_625, ..Analysis::default() };
+    let (rows, _) = shake(&lotung(170), &Analysis::default(), 0.005, &base);
+    let (reference, _) = shake(&lotung(340), &fine, 0.005, &base);
+    for (depth_m, row) in [(0.0, 0), (2.0, 20), (6.0, 60), (11.0, 110), (14.0, 140)] {
+        // An element boundary: the mean of the two elements beside it.
+        let at = |rows: &[Vec<f64>], k: usize| -> Vec<f64> {
+            rows.iter().map(|r| if k == 0 { r[0] } else { 0.5 * (r[k] + r[k + 1]) }).collect()
+        };
+        let (ours, truth) = (at(&rows, row), at(&reference, 2 * row));
+        let raw = relative_rms(&ours, &truth);
+        let slow = relative_rms(&smoothed(&ours), &smoothed(&truth));
+        println!("{depth_m} m: {raw:.4} from the fine column, {slow:.4} below 8 Hz");
+        assert!(raw < 0.05 && slow < 0.015);
+    }
+}
+
+/// Without what is faster than about 8 Hz, every 0.05 s: what is left of a trajectory for learning.
+fn smoothed(x: &[f64]) -> Vec<f64> {
+    let weight = |k: i64| (-0.5 * (k as f64 * 0.005 / 0.018).powi(2)).exp();
+    let total: f64 = (-16..=16).map(weight).sum();
+    let last = x.len() as i64 - 1;
+    let at = |i: i64| (-16..=16).map(|k| weight(k) * x[(i + k).clamp(0, last) as usize]).sum::<f64>() / total;
+    (0..=last).step_by(10).map(at).collect()
 }
 
 #[test]
@@ -96,6 +132,7 @@ fn strong_centrifuge_motions_finish() {
             peak(&surface) / 9.81,
             spike(&surface)
         );
+        assert!(summary.cuts == 0 && overshoots(&rows).0 < 0.3);
     }
 }
 
@@ -123,38 +160,65 @@ fn strong_hyperbolic_motions_finish() {
     }
 }
 
-#[test]
-#[ignore = "a minute of CPU: the whole ensemble"]
-fn a_hundred_undrained_lotung_motions_finish() {
+/// CPU time of this thread, s; wall-clock time where the system does not tell.
+fn thread_cpu_s(start: Instant) -> f64 {
+    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
+    let nanoseconds = told.as_deref().and_then(|t| t.split_whitespace().next()).and_then(|n| n.parse::<f64>().ok());
+    nanoseconds.map_or_else(|| start.elapsed().as_secs_f64(), |n| 1e-9 * n)
+}
+
+/// Shakes the Lotung column with every `stride`-th of a hundred motions of 15 s: three in five weak (to 0.02 g), one
+/// moderate (to 0.05 g), one strong (to 0.112 g); prints CPU times by band. All must finish without single samples that stand out.
+fn ensemble(stride: usize) {
     use rayon::prelude::*;
     let column = Column::new(&lotung(200), &Analysis::default()).expect("a column");
     let start = Instant::now();
-    let runs: Vec<(f64, f64, Result<flare_pipe::column::RunSummary, String>)> = (0..100_u64)
+    let runs: Vec<(f64, f64, flare_pipe::column::RunSummary, f64)> = (0..100_u64)
         .into_par_iter()
+        .filter(|i| *i as usize % stride == *i as usize % 5)
         .map(|i| {
             let (low, high) =
                 [(0.0075, 0.02), (0.0075, 0.02), (0.0075, 0.02), (0.02, 0.05), (0.05, 0.112)][i as usize % 5];
             let pga_g = low + (high - low) * (i / 5) as f64 / 19.0;
-            let start = Instant::now();
-            let result = column.run(0.005, &motion(100 + i, pga_g, 15.0), &mut |_| Ok(()));
-            (pga_g, start.elapsed().as_secs_f64(), result.map_err(|failure| failure.to_string()))
+            let before = thread_cpu_s(start);
+            let mut rows = vec![Vec::new(); 201];
+            let summary = column
+                .run(0.005, &motion(100 + i, pga_g, 15.0), &mut |frame| {
+                    rows[0].push(frame.surface_m_s2);
+                    rows[1..].iter_mut().zip(frame.elements_m_s2).for_each(|(row, a)| row.push(*a));
+                    Ok(())
+                })
+                .unwrap_or_else(|failure| panic!("{pga_g} g: {failure}"));
+            let spent_s = thread_cpu_s(start) - before;
+            (pga_g, spent_s, summary, rows.iter().map(|row| overshoot(row)).fold(0.0, f64::max))
         })
         .collect();
-    println!("100 motions in {:.1} s", start.elapsed().as_secs_f64());
+    println!("{} motions in {:.1} s", runs.len(), start.elapsed().as_secs_f64());
     for (name, low, high) in [("weak", 0.0, 0.02), ("moderate", 0.02, 0.05), ("strong", 0.05, 0.2)] {
         let band: Vec<_> = runs.iter().filter(|(pga, ..)| *pga > low && *pga <= high).collect();
-        let mut times: Vec<f64> = band.iter().map(|(_, time, _)| *time).collect();
+        let mut times: Vec<f64> = band.iter().map(|(_, time, ..)| *time).collect();
         times.sort_by(f64::total_cmp);
-        let sums = band.iter().filter_map(|(.., r)| r.as_ref().ok());
-        let (steps, iterations) = sums.fold((0, 0), |(s, n), r| (s + r.steps, n + r.newton_iterations));
+        let (steps, iterations) =
+            band.iter().fold((0, 0), |(s, n), (_, _, r, _)| (s + r.steps, n + r.newton_iterations));
         println!(
-            "{name}: {} motions, median {:.2} s, worst {:.2} s, {:.2} iterations a step",
+            "{name}: {} motions, CPU median {:.2} s, worst {:.2} s, {:.2} iterations a step, samples stand out by {:.2}",
             band.len(),
             times[times.len() / 2],
             times[times.len() - 1],
-            iterations as f64 / steps as f64
+            iterations as f64 / steps as f64,
+            band.iter().map(|(.., o)| *o).fold(0.0, f64::max)
         );
     }
-    let failed: Vec<_> = runs.iter().filter(|(.., r)| r.is_err()).collect();
-    assert!(failed.is_empty(), "{failed:?}");
+    assert!(runs.iter().all(|(_, _, summary, overshoot)| summary.cuts < 10 && *overshoot < 0.35));
+}
+
+#[test]
+fn ten_undrained_lotung_motions_of_all_strengths_finish_without_spikes() {
+    ensemble(50);
+}
+
+#[test]
+#[ignore = "a minute of CPU: the whole ensemble"]
+fn a_hundred_undrained_lotung_motions_finish_without_spikes() {
+    ensemble(5);
 }

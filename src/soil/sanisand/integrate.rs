@@ -75,13 +75,18 @@ fn many<L: Lane>(
     let mut first = 0;
     while first < n {
         // The last bundle repeats the last point.
-        let point = |lane: usize| (first + lane).min(n - 1);
-        let get = |k: usize| L::from_fn(|lane| committed[point(lane) * N_STATE + k]);
-        let get3 = |k: usize| [get(k), get(k + 1), get(k + 2)];
-        let state =
-            State { s: get3(0), p: get(3), alpha: get3(4), z: get3(7), alpha_in: get3(10), e: get(13), g_0: get(14) };
-        let d_gamma = L::from_fn(|lane| increments[point(lane)].gamma);
-        let d_eps = L::from_fn(|lane| increments[point(lane)].eps_yy);
+        let bundle: [usize; WIDEST] = std::array::from_fn(|lane| (first + lane).min(n - 1));
+        let state = State {
+            s: gather3(committed, &bundle, 0),
+            p: gather(committed, &bundle, 3),
+            alpha: gather3(committed, &bundle, 4),
+            z: gather3(committed, &bundle, 7),
+            alpha_in: gather3(committed, &bundle, 10),
+            e: gather(committed, &bundle, 13),
+            g_0: gather(committed, &bundle, 14),
+        };
+        let d_gamma = L::from_fn(|lane| increments[bundle[lane]].gamma);
+        let d_eps = L::from_fn(|lane| increments[bundle[lane]].eps_yy);
         let (end, tangent, failed) = advance(&c, state, d_gamma, d_eps);
         let refused = L::select(failed, L::splat(1.0), L::splat(0.0));
         let tau = end.s[2];
@@ -126,6 +131,20 @@ fn many<L: Lane>(
         first += L::N;
     }
     Ok(())
+}
+
+/// Most lanes of any width.
+const WIDEST: usize = 8;
+
+// Functions, not closures: only these are certain to be compiled for the registers of their caller.
+#[inline(always)]
+fn gather<L: Lane>(memory: &[f64], bundle: &[usize; WIDEST], k: usize) -> L {
+    L::from_fn(|lane| memory[bundle[lane] * N_STATE + k])
+}
+
+#[inline(always)]
+fn gather3<L: Lane>(memory: &[f64], bundle: &[usize; WIDEST], k: usize) -> Deviator<L> {
+    [gather(memory, bundle, k), gather(memory, bundle, k + 1), gather(memory, bundle, k + 2)]
 }
 
 #[inline(always)]

@@ -36,6 +36,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
             .check("k_w_gpa", p.k_w_gpa, 0.0, 10.0)
             .check("g_0", p.g_0.unwrap_or(100.0), 1.0, 1e5)
             .check("damping_ratio", p.damping_ratio, 0.0, 0.5)
+            .check("viscosity_s", p.viscosity_s, 0.0, 0.01)
             .check("tolerance", p.tolerance, 1e-12, 1e-2)
             .check("max_substeps", f64::from(p.max_substeps), 1.0, 1e6)
             .done()?;
@@ -71,6 +72,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | h₀, c_h, n_b | `h_0`, `c_h`, `n_b` | – | hardening |
 /// | A₀, n_d, z_max, c_z | `a_0`, `n_d`, `z_max`, `c_z` | – | dilatancy, fabric |
 /// | e_ini, K_w | `e_ini`, `k_w_gpa` | –, GPa | 0.2…2.5, 0…10 |
+/// | η/G | `viscosity_s` | s | 0…0.01 |
 /// | state | s, p̄, α, z, α_in (xx, yy, xy), e, G₀ | `[15]` | Pa, – |
 ///
 /// Conventions: without `g_0`, G₀ makes G = ρVs² at each point's own geostatic stress. α and α_in start at r₀ (the
@@ -78,6 +80,11 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// (α−α_in):n < 0 in plastic loading; `reset_on_reversal = true` moves it whenever (α−α_in):Δs < 0. (10) is evaluated with numerator and denominator multiplied by (α−α_in):n, which takes the
 /// singularity out of (6): right after a reversal the response is elastic, without a cap.
 /// Contraction (D > 0) fades as x²(3−2x), x = p̄/p_t, where p' < 0, so that p̄ stays positive; (7) is untouched for p' ≥ 0.
+///
+/// A trace of viscosity, `viscosity_s` = 2e-4 s (a damping ratio of 0.06 % at 1 Hz and 0.6 % at 10 Hz), acts beside the
+/// law. Without it wave fronts in the dilating sand steepen without end, since it stiffens as it strains: with 100, 200
+/// and 400 elements a strong undrained Lotung motion gives 7, 15 and 23 m/s² at 6 m, for a step as short as one likes.
+/// With it 100…800 elements agree within 1 %: 1.44, 1.44, 1.45, 1.45 m/s². 0 is the law alone.
 ///
 /// Limits: no cap, so no plasticity in constant-ratio compression. Substeps obey a relative stress error `tolerance`;
 /// more than `max_substeps` is refused and the column shortens its step.
@@ -131,6 +138,8 @@ struct Sanisand {
     g_0: Option<f64>,
     /// Small-strain damping ratio ξ beside the hysteresis.
     damping_ratio: f64,
+    /// Viscosity over elastic stiffness, s.
+    viscosity_s: f64,
     /// Relative stress error of a substep.
     tolerance: f64,
     /// Substeps allowed for one increment.
@@ -162,6 +171,7 @@ impl Default for Sanisand {
             k_w_gpa: 2.2,
             g_0: None,
             damping_ratio: 0.0,
+            viscosity_s: 2e-4,
             tolerance: 1e-4,
             max_substeps: 1000,
         }
@@ -230,5 +240,9 @@ impl Law for Sanisand {
 
     fn damping_ratio(&self, _: &Point) -> f64 {
         self.damping_ratio
+    }
+
+    fn viscosity_s(&self) -> f64 {
+        self.viscosity_s
     }
 }

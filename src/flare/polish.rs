@@ -1,0 +1,80 @@
+//! The last part of stage 1: Gauss–Newton steps on the coefficients over complete motions, networks held fixed.
+//!
+//! ```text
+//! (JᵀJ + μ P) δ = −Jᵀρ,   ρ = √(w/N) (D(ẑ_t) − a_d) at some channels                                        (1)
+//! ```
+//!
+//! The first-order optimiser learns the networks well and the coefficients slowly: encoded states decode to a few per cent
+//! while rolled-out ones are several times off. Here every step uses the exact derivative of each whole rollout. `μ P` is
+//! the damping of Levenberg and Marquardt in the metric of the relative penalty; a step is taken if it lowers the error.
+//! Every other motion is turned over in sign, for the column knows no left and right.
+
+use super::case::{Case, Event};
+use super::events::{Reader, Records};
+use super::gauss_newton::{FIRST_DAMPING, descend};
+use super::model::SourceModel;
+use super::observation::Observation;
+use super::penalty::Penalty;
+use super::settings::PretrainSettings;
+
+/// Channels that stand for all of them.
+const N_CHANNEL: usize = 8;
+/// A polish ends when a step lowers the error by less than this share.
+const SMALLEST_GAIN: f64 = 1e-3;
+
+/// Takes up to `steps` steps; `judge` sees the model after each, with the error of the training motions.
+pub fn polish(
+    model: &mut SourceModel,
+    train: &[Case],
+    settings: &PretrainSettings,
+    steps: usize,
+    judge: &mut dyn FnMut(&SourceModel, f64),
+) {
+    let fixed = model.clone();
+    let (channels, window) = (model.shape.channels, model.shape.window);
+    let n = N_CHANNEL.min(channels);
+    let picks: Vec<usize> = (0..n).map(|i| i * (channels - 1) / (n - 1).max(1)).collect();
+    let observation = Observation {
+        sensors: picks.iter().map(|c| format!("channel {c}")).collect(),
+        channel_depth_m: (0..channels).map(|c| c as f64).collect(),
+        sensor_depth_m: picks.iter().map(|c| *c as f64).collect(),
+        dense_std_m_s2: vec![1.0; channels],
+        sparse_std_m_s2: vec![1.0; n],
+    };
+    let sign = |i: usize| if settings.mirror && i % 2 == 1 { -1.0 } else { 1.0 };
+    let turned = |x: &[f32], i: usize| x.iter().map(|v| v * sign(i)).collect::<Vec<f32>>();
+    let events: Vec<Event> = train
+        .iter()
+        .enumerate()
+        .map(|(i, case)| Event {
+            id: case.id.clone(),
+            u: turned(&case.u, i),
+            u_half: turned(&case.u_half, i),
+            sparse: case.dense.chunks_exact(channels).flat_map(|row| picks.iter().map(|c| row[*c] * sign(i))).collect(),
+        })
+        .collect();
+    let starts: Vec<Vec<f32>> =
+        train.iter().enumerate().map(|(i, c)| fixed.encode(&turned(&c.dense[..window * channels], i))).collect();
+    let reader = Reader::new(&fixed, &observation);
+    let bound = settings.state_bound as f32;
+    let records = Records::started(&starts, window - 1, &reader, &events, settings.amplitude_weighting, bound);
+    let penalty = Penalty::coefficients(&fixed);
+    let n_coefficient = fixed.shape.library().n_coefficient();
+    let free: Vec<usize> = (0..n_coefficient).filter(|i| model.mask[*i]).collect();
+    let mut xi = fixed.coefficients().to_vec();
+    let (mut error, mut damping) = (records.misfit(&xi).0, FIRST_DAMPING);
+    for _ in 0..steps {
+        let normal = records.normal(&xi, &free);
+        let Some(moved) = descend(&records, &penalty, &normal, &free, &xi, 0.0, error, &mut damping) else {
+            return;
+        };
+        let new = records.misfit(&moved).0;
+        xi = moved;
+        model.parameters[..n_coefficient].copy_from_slice(&xi);
+        judge(model, new);
+        if new > (1.0 - SMALLEST_GAIN) * error {
+            return;
+        }
+        error = new;
+    }
+}
