@@ -269,9 +269,9 @@ mod tests {
         let mut x = bin.residual.clone();
         for i in 0..3 {
             for j in i + 1..3 {
+                let factor = sigma[j][i] / sigma[i][i];
                 let above = sigma[i];
-                let factor = sigma[j][i] / above[i];
-                sigma[j].iter_mut().zip(above).for_each(|(x, a)| *x -= factor * a);
+                sigma[j].iter_mut().zip(&above).skip(i).for_each(|(to, from)| *to -= factor * from);
                 let term = factor * x[i];
                 x[j] -= term;
             }

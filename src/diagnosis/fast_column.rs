@@ -175,7 +175,7 @@ impl FastColumn {
                     particular.add_to(&mut sensor[1], weight);
                 }
             }
-            let Some((element, gamma)) = self.elements.get(i).zip(gamma.get(i)) else { break };
+            let (Some(element), Some(gamma)) = (self.elements.get(i), gamma.get(i)) else { break };
             let (ratio, damping) = element.curve.at(*gamma);
             let modulus = element.shear_modulus_pa * ratio;
             let stiffness =
