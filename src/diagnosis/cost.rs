@@ -270,10 +270,8 @@ mod tests {
         for i in 0..3 {
             for j in i + 1..3 {
                 let factor = sigma[j][i] / sigma[i][i];
-                for k in i..3 {
-                    let term = factor * sigma[i][k];
-                    sigma[j][k] -= term;
-                }
+                let above = sigma[i];
+                sigma[j].iter_mut().zip(&above).skip(i).for_each(|(to, from)| *to -= factor * from);
                 let term = factor * x[i];
                 x[j] -= term;
             }

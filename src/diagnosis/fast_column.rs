@@ -175,8 +175,8 @@ impl FastColumn {
                     particular.add_to(&mut sensor[1], weight);
                 }
             }
-            let Some(element) = self.elements.get(i) else { break };
-            let (ratio, damping) = element.curve.at(gamma[i]);
+            let (Some(element), Some(gamma)) = (self.elements.get(i), gamma.get(i)) else { break };
+            let (ratio, damping) = element.curve.at(*gamma);
             let modulus = element.shear_modulus_pa * ratio;
             let stiffness =
                 [modulus + element.container_pa, 2.0 * damping * modulus, element.beta_s * element.shear_modulus_pa];

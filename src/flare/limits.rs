@@ -52,9 +52,9 @@ impl Limits {
     /// Multiplies the cotangent of the limited `state` by the slope of the limit (2).
     #[inline(always)]
     pub fn pull_back(&self, state: &[Lanes], cotangent: &mut [Lanes]) {
-        for k in 0..self.soft.len() {
+        for (k, cotangent) in cotangent.iter_mut().enumerate().take(self.soft.len()) {
             if let Some(slope) = self.slope(state, k) {
-                cotangent[k] = Lanes::product(&cotangent[k], &slope);
+                *cotangent = Lanes::product(cotangent, &slope);
             }
         }
     }
