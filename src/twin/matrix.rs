@@ -163,3 +163,49 @@ impl Case {
         tables
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+
+    fn shipped() -> (Matrix, Truth, Array) {
+        let configs = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("configs");
+        let (matrix, truth) = Matrix::load(&configs.join("matrix/smoke.toml")).expect("a sound matrix");
+        let site = crate::manifest::Manifest::load(&configs.join("smoke.toml"), &[]).expect("a sound site").site;
+        let array = site.column().array(&["EW".to_string(), "NS".to_string()]).expect("an array");
+        (matrix, truth, array)
+    }
+
+    #[test]
+    fn every_twin_has_draws_of_its_own_that_a_longer_matrix_keeps() {
+        let (matrix, truth, array) = shipped();
+        let cases = matrix.cases(&truth, &array, 1).expect("cases");
+        assert_eq!(cases.len(), matrix.cell.iter().map(|c| c.count).sum::<usize>());
+        assert_eq!(cases, matrix.cases(&truth, &array, 1).expect("cases"));
+        let mut longer = matrix.clone();
+        longer.cell[0].count += 5;
+        let again = longer.cases(&truth, &array, 1).expect("cases");
+        assert!(cases.iter().all(|case| again.contains(case)));
+        let other = matrix.cases(&truth, &array, 2).expect("cases");
+        assert!(cases.iter().zip(&other).all(|(a, b)| a.truth.seed != b.truth.seed));
+    }
+
+    #[test]
+    fn a_cell_says_how_many_effects_its_twins_lack_and_of_what_kind() {
+        let (mut matrix, truth, array) = shipped();
+        matrix.cell[0].kinds = vec!["sensor_gain".into(), "thin_seam".into()];
+        for case in matrix.cases(&truth, &array, 3).expect("cases") {
+            let kinds: Vec<&str> = case.truth.effects.iter().filter_map(|t| t["kind"].as_str()).collect();
+            let expected = matrix.cell.iter().find(|c| c.name == case.cell).expect("its cell");
+            assert_eq!(kinds.len(), expected.effects, "{kinds:?}");
+            assert!(kinds.len() < 2 || kinds[0] != kinds[1], "{kinds:?}");
+            assert!(case.cell != "single" || kinds[0] == "sensor_gain" || kinds[0] == "thin_seam");
+            assert_eq!(case.truth.outside.len(), usize::from(!expected.outside.is_empty()));
+            effects::build_all(&case.truth.effects).expect("draws are within their ranges");
+        }
+        matrix.cell[0].kinds = vec!["sensor_gains".into()];
+        let error = matrix.cases(&truth, &array, 3).expect_err("no such kind");
+        assert!(error.hint_text().is_some_and(|hint| hint.contains("nearest: `sensor_gain`")));
+    }
+}
