@@ -5,20 +5,28 @@
 //!
 //! ```text
 //! s(x) = x                                for |x| ≤ a
-//! s(x) = sgn x · a (1 + h t/(1 + t))      for |x| > a,   t = (|x|/a − 1)/h,   h = 1/2                        (1)
-//! s'   = 1/(1 + t)² = (1 − (|s|/a − 1)/h)²                                                                  (2)
+//! s(x) = sgn x · a (1 + t/(1 + t))        for |x| > a,   t = |x|/a − 1                                       (1)
+//! s'   = 1/(1 + t)² = (2 − |s|/a)²                                                                          (2)
 //! ```
 //!
-//! so that |s| ≤ (1 + h) a whatever happens: no finite input makes a rollout diverge, however strong or long. `a` is a multiple
-//! of the range that state had in the training simulations; a rollout that stays inside is the same to the last bit. Half of
-//! the range is little headroom on purpose: with twice of it four of twenty doubled Lotung motions, which diverge without
-//! limits, stay bounded but settle at ten times their size; within one and a half times the range they answer about twice as
-//! strongly and come back. Limits of this: beyond `a` the response is bounded, not right.
+//! so that |s| ≤ 2a whatever happens: no finite input makes a rollout diverge, however strong or long. `a` is a multiple of
+//! the range that state had in the training simulations; a rollout that stays below is the same to the last bit. Limits of
+//! this: beyond `a` the response is bounded, not right.
+//!
+//! The twenty validation motions of Lotung, doubled, or ten times in a row (peak against the plain rollout, and last repetition
+//! against the first; a first source model with memories and energies):
+//!
+//! | a over range | doubled: finite | largest | tenfold: finite | largest | median NRMSE, strongest motions |
+//! |--------------|-----------------|---------|-----------------|---------|---------------------------------|
+//! | none         | 16 of 20        |         | 19 of 20        |         | 48 48 39 44 45 40 %             |
+//! | 1.5          | 20              | 13.2    | 20              | 17.0    | 48 48 39 44 45 40 %             |
+//! | 1            | 20              | 7.3     | 20              | 10.1    | 48 48 39 44 45 40 %             |
+//! | 0.75         | 20              | 2.1     | 20              | 1.2     | 48 48 40 44 45 40 %             |
+//! | 0.5          | 20              | 1.9     | 20              | 1.0     | 47 47 44 46 46 40 %             |
+//!
+//! With room to spare the equations settle on states far outside, bounded but wrong; with 0.75 they come back.
 
 use super::kernels::{LANES, Lanes};
-
-/// h of equation (1).
-const HEADROOM: f32 = 0.5;
 
 /// A hard bound, and for each state where its soft limit begins (empty for none).
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -41,8 +49,8 @@ impl Limits {
         for (x, a) in state.iter_mut().zip(&self.soft) {
             if x.0.iter().any(|x| x.abs() > *a) {
                 for x in &mut x.0 {
-                    let t = ((x.abs() / a - 1.0) / HEADROOM).clamp(0.0, 1e30);
-                    let limited = (a + HEADROOM * a * (t / (1.0 + t))).copysign(*x);
+                    let t = (x.abs() / a - 1.0).clamp(0.0, 1e30);
+                    let limited = (a + a * (t / (1.0 + t))).copysign(*x);
                     *x = if x.abs() > *a { limited } else { *x };
                 }
             }
@@ -67,7 +75,7 @@ impl Limits {
         is_beyond.contains(&true).then(|| {
             let mut slope = Lanes::splat(1.0);
             for (slope, s) in slope.0.iter_mut().zip(&state[k].0) {
-                let left = (1.0 - (s.abs() / a - 1.0) / HEADROOM).clamp(0.0, 1.0);
+                let left = (2.0 - s.abs() / a).clamp(0.0, 1.0);
                 *slope = left * left;
             }
             slope
@@ -92,7 +100,7 @@ mod tests {
         }
         for x in [1.6, 3.0, -40.0, 1e20, f32::MAX, -f32::MAX, f32::INFINITY] {
             let y = limited(x);
-            assert!(y.abs() <= 2.25 && y.signum() == x.signum(), "{x} {y}");
+            assert!(y.abs() <= 3.0 && y.signum() == x.signum(), "{x} {y}");
         }
         assert!((limited(1.5001) - 1.5001).abs() < 1e-6);
     }

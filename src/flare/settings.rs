@@ -100,7 +100,7 @@ impl Default for PretrainSettings {
             checkpoint_every: 5,
             state_bound: 1e3,
             stress_factor: 1.0,
-            limit_factor: 1.0,
+            limit_factor: 0.75,
         }
     }
 }
