@@ -30,7 +30,8 @@ pub fn polish(
     steps: usize,
     judge: &mut dyn FnMut(&SourceModel, f64),
 ) {
-    let fixed = model.clone();
+    let mut fixed = model.clone();
+    fixed.limit_softly(train, settings.limit_factor);
     let (channels, window) = (model.shape.channels, model.shape.window);
     let n = N_CHANNEL.min(channels);
     let picks: Vec<usize> = (0..n).map(|i| i * (channels - 1) / (n - 1).max(1)).collect();

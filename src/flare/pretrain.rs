@@ -56,8 +56,11 @@ pub fn pretrain(
     let shape = Shape::new(settings);
     let case_weight = amplitude_weights(train.iter().map(|c| c.dense.as_slice()), settings.amplitude_weighting);
     let judge_weight = amplitude_weights(validation.iter().map(|c| c.dense.as_slice()), settings.amplitude_weighting);
-    let judge =
-        |model: &SourceModel| judge(model, validation, &judge_weight, settings.stress_factor, settings.state_bound);
+    let judge = |model: &SourceModel| {
+        let mut limited = model.clone(); // judged as it will be used
+        limited.limit_softly(train, settings.limit_factor);
+        judge(&limited, validation, &judge_weight, settings.stress_factor, settings.state_bound)
+    };
     let drives: Vec<Drive> = train.iter().map(|c| shape.drive(&c.u, &c.u_half, 1.0)).collect();
     let objective = Objective {
         shape: &shape,
