@@ -138,14 +138,14 @@ impl Search {
         let free = problem.free(&self.at, problem.settings.free_terms[self.walk]);
         let old = problem.objective(&self.at.xi, weight);
         let normal = problem.train.normal(&self.at.xi, &free);
-        let Some(xi) =
+        let Some((xi, observation)) =
             descend(problem.train, problem.penalty, &normal, &free, &self.at.xi, weight, old, &mut self.damping)
         else {
             return false;
         };
         self.at.xi = xi;
         self.judge(problem);
-        let (observation, penalty) = problem.parts(&self.at.xi);
+        let penalty = problem.penalty.value(&self.at.xi);
         let new = observation + weight * penalty;
         let judged = if self.at.validation.is_finite() { self.at.validation } else { f64::NAN };
         let number = 1.0 + self.history.rows.len() as f64;
@@ -201,7 +201,8 @@ impl Problem<'_> {
     }
 }
 
-/// The first step that lowers the objective below `old`; the damping is left ready for the step after it.
+/// The first step that lowers the objective below `old`, with its error of the training events; the damping is left ready for
+/// the step after it.
 #[allow(clippy::too_many_arguments)]
 pub(super) fn descend(
     train: &Records<'_>,
@@ -212,7 +213,7 @@ pub(super) fn descend(
     weight: f64,
     old: f64,
     damping: &mut f64,
-) -> Option<Vec<f32>> {
+) -> Option<(Vec<f32>, f64)> {
     let was_bounded = train.misfit(xi).1;
     while *damping <= DAMPING.1 {
         if let Some(step) = step(penalty, normal, free, xi, weight, *damping) {
@@ -222,7 +223,7 @@ pub(super) fn descend(
             let new = observation + weight * penalty.value(&moved);
             if new < old && (is_bounded || !was_bounded) {
                 *damping = (*damping * 0.2).max(DAMPING.0);
-                return Some(moved);
+                return Some((moved, observation));
             }
         }
         *damping *= 5.0;

@@ -66,10 +66,9 @@ pub fn polish(
     let (mut error, mut damping) = (records.misfit(&xi).0, FIRST_DAMPING);
     for _ in 0..steps {
         let normal = records.normal(&xi, &free);
-        let Some(moved) = descend(&records, &penalty, &normal, &free, &xi, 0.0, error, &mut damping) else {
+        let Some((moved, new)) = descend(&records, &penalty, &normal, &free, &xi, 0.0, error, &mut damping) else {
             return;
         };
-        let new = records.misfit(&moved).0;
         xi = moved;
         model.parameters[..n_coefficient].copy_from_slice(&xi);
         judge(model, new);
