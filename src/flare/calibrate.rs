@@ -200,16 +200,24 @@ mod tests {
         (0..n).map(|_| scale * (2.0 * random.random::<f32>() - 1.0)).collect()
     }
 
+    /// Soft limits of the models below, and how many of their states are hidden.
+    const MODELS: [(&[f32], usize); 3] = [(&[], 0), (&[0.5, 0.7, 0.4], 0), (&[0.5, 0.7, 0.4, 0.3, 0.5], 2)];
+
     /// A small model, with soft limits well inside its states where `soft` says so.
-    fn limited(soft: &[f32]) -> (SourceModel, SparseEncoder, Observation) {
-        let (mut model, encoder, observation) = problem();
+    fn limited(soft: &[f32], hidden: usize) -> (SourceModel, SparseEncoder, Observation) {
+        let (mut model, encoder, observation) = with_hidden(hidden);
         model.shape.soft_limits = soft.to_vec();
         (model, encoder, observation)
     }
 
     fn problem() -> (SourceModel, SparseEncoder, Observation) {
+        with_hidden(0)
+    }
+
+    fn with_hidden(hidden: usize) -> (SourceModel, SparseEncoder, Observation) {
         let settings = PretrainSettings {
             latent: 3,
+            hidden,
             channels: 4,
             encoder_hidden: vec![5],
             decoder_hidden: vec![6, 5],
@@ -220,9 +228,10 @@ mod tests {
         let shape = Shape::new(&settings);
         let mut parameters = random(shape.decoder_range().end, 0.5, "parameters");
         parameters[shape.coefficient_range()].iter_mut().for_each(|c| *c *= 0.2);
-        (0..3).for_each(|k| {
-            parameters[shape.library().linear_row(k) * 3 + k] -= 0.6;
-            parameters[shape.library().input_row() * 3 + k] += 0.8;
+        let n = 3 + hidden;
+        (0..n).for_each(|k| {
+            parameters[shape.library().linear_row(k) * n + k] -= 0.6;
+            parameters[shape.library().input_row() * n + k] += 0.8;
         });
         let mask = vec![true; shape.library().n_coefficient()];
         let distill = DistillSettings { window: 2, hidden: vec![5], ..Default::default() };
@@ -247,8 +256,8 @@ mod tests {
 
     #[test]
     fn the_gradient_by_the_coefficients_matches_finite_differences_for_events_of_unequal_length() {
-        for soft in [&[][..], &[0.5, 0.7, 0.4]] {
-            let (model, encoder, observation) = limited(soft);
+        for (soft, hidden) in MODELS {
+            let (model, encoder, observation) = limited(soft, hidden);
             let reader = Reader::new(&model, &observation);
             let events: Vec<Event> = (0..10).map(|i| event(12 + 3 * i, &format!("e{i}"))).collect();
             let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
@@ -271,8 +280,8 @@ mod tests {
 
     #[test]
     fn the_normal_equations_match_the_reverse_pass_and_finite_differences_of_every_residual() {
-        for soft in [&[][..], &[0.5, 0.7, 0.4]] {
-            let (model, encoder, observation) = limited(soft);
+        for (soft, hidden) in MODELS {
+            let (model, encoder, observation) = limited(soft, hidden);
             let reader = Reader::new(&model, &observation);
             let events: Vec<Event> = (0..10).map(|i| event(90 + 3 * i, &format!("e{i}"))).collect();
             let records = Records::new(&encoder, &reader, &events, 0.5, 1e3);
@@ -319,6 +328,12 @@ mod tests {
                 }
             }
             assert!(error > 0.0);
+            let thinned = records.normal_thinned(&xi, &kept, 4);
+            for (i, at) in kept.iter().enumerate() {
+                assert_eq!(2.0 * thinned.slope(i), f64::from(gradient[*at]));
+                let (some, all) = (thinned.curvature(i, i), normal.curvature(i, i));
+                assert!(some < 2.0 * all && all < 2.0 * some, "coefficient {at}: {some} {all}");
+            }
             let is_limited = |g: &Group| {
                 let states = records.roll_out(g, &xi).z;
                 states.chunks(3).any(|z| z.iter().zip(soft).any(|(z, a)| z.abs() > *a))

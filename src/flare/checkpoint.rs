@@ -151,7 +151,7 @@ impl Calibration {
     /// When a file cannot be written.
     pub fn save(&self, dir: &Path, shape: &Shape) -> Result<()> {
         let mut file = Tensors::default();
-        let sizes = vec![shape.library().n_term(), shape.latent];
+        let sizes = vec![shape.library().n_term(), shape.library().latent];
         file.floats("xi", sizes.clone(), &self.coefficients);
         file.mask("mask", sizes, &self.mask);
         file.write(&dir.join(TENSORS))?;

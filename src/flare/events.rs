@@ -94,7 +94,7 @@ impl<'a> Records<'a> {
             .chunks(LANES)
             .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
             .map(|(starts, (target, weight))| {
-                let (forcing, z0) = load_group(reader.model.shape.latent, starts);
+                let (forcing, z0) = load_group(reader.model.shape.library().latent, starts);
                 Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
             })
             .collect();
@@ -124,7 +124,7 @@ impl<'a> Records<'a> {
 
     fn part(&self, group: &Group, xi: &[f32], is_wanted: bool) -> Part {
         let library = self.reader.model.shape.library();
-        let (r, n_sensor) = (library.latent, self.reader.network.n_output());
+        let (r, n_sensor) = (self.reader.model.shape.latent, self.reader.network.n_output());
         let n_step = group.forcing.n_step();
         let mut rolled = self.roll_out(group, xi);
         let valid = rolled.trajectory.valid;
@@ -150,7 +150,7 @@ impl<'a> Records<'a> {
         let mut d_z = vec![0.0; z.len()];
         self.reader.network.backward(&self.reader.parameters, &z, &mut tape, &response, None, Some(&mut d_z));
         let mut dz = Vec::new();
-        to_lanes(&d_z, r, n_step, group.n_lane, &mut dz);
+        to_lanes(&d_z, (r, library.latent), n_step, group.n_lane, &mut dz);
         let mut dxi = vec![Lanes::ZERO; xi.len()];
         reverse(library, xi, &group.forcing, &trajectory, &mut dz, &mut dxi);
         Part { sum, is_bounded, gradient: dxi.iter().map(Lanes::sum).collect() }
@@ -162,8 +162,9 @@ impl<'a> Records<'a> {
         let mut trajectory = Trajectory::default();
         rollout_limited(library, xi, &group.z0, &group.forcing, &self.limits, &mut trajectory);
         let n_step = group.forcing.n_step();
-        let mut z = vec![0.0; group.n_lane * n_step * library.latent];
-        from_lanes(&trajectory.z, library.latent, n_step, &mut z);
+        let r = self.reader.model.shape.latent;
+        let mut z = vec![0.0; group.n_lane * n_step * r];
+        from_lanes(&trajectory.z, (r, library.latent), n_step, &mut z);
         let (mut tape, mut response) = (Tape::default(), Vec::new());
         self.reader.network.forward(&self.reader.parameters, &z, &mut tape, &mut response);
         Rolled { trajectory, z, tape, response }

@@ -41,7 +41,7 @@ impl SourceModel {
     /// Dense response to the case `factor` times as strong and `times` in a row, if it is finite, and the share of limited
     /// samples.
     fn guarded(&self, case: &Case, factor: f32, times: usize) -> (Option<Vec<f32>>, f64) {
-        let (shape, r) = (&self.shape, self.shape.latent);
+        let shape = &self.shape;
         let u = case.u.repeat(times);
         // half a step after the last sample of one repetition lies between it and the first sample of the next
         let between = 0.5 * (case.u.first().unwrap_or(&0.0) + case.u.last().unwrap_or(&0.0));
@@ -53,8 +53,8 @@ impl SourceModel {
         let start = Start { z0: &z0, drive: &drive, from: shape.window - 1 };
         let (z, valid) = roll_out(shape.library(), self.coefficients(), &[start], &shape.limits(STATE_BOUND)).remove(0);
         let is_limited = |z: &&[f32]| z.iter().zip(&shape.soft_limits).any(|(z, a)| z.abs() > *a);
-        let share = z.chunks_exact(r).filter(is_limited).count() as f64 / start.n_step() as f64;
-        let response = self.decode(&z);
+        let share = z.chunks_exact(shape.library().latent).filter(is_limited).count() as f64 / start.n_step() as f64;
+        let response = self.decode(&shape.visible(z));
         let is_whole = valid == start.n_step() && response.iter().all(|v| v.is_finite());
         (is_whole.then_some(response), share)
     }

@@ -16,6 +16,9 @@ pub struct Shape {
     pub window: usize,
     /// Latent dimension, r.
     pub latent: usize,
+    /// Hidden states beside them, see [`PretrainSettings::hidden`].
+    #[serde(default)]
+    pub hidden: usize,
     /// Dense channels.
     pub channels: usize,
     /// Sampling interval (s).
@@ -43,6 +46,7 @@ impl Shape {
         Self {
             window: settings.window,
             latent: settings.latent,
+            hidden: settings.hidden,
             channels: settings.channels,
             step_s: settings.step_s,
             encoder_hidden: settings.encoder_hidden.clone(),
@@ -56,7 +60,15 @@ impl Shape {
 
     /// The candidate library.
     pub fn library(&self) -> Library {
-        Library { latent: self.latent, memories: self.memories.count(), energies: self.energy_levels }
+        Library { latent: self.latent + self.hidden, memories: self.memories.count(), energies: self.energy_levels }
+    }
+
+    /// Of states `[n · (r + hidden)]` those that are encoded and decoded, `[n · r]`.
+    pub fn visible(&self, states: Vec<f32>) -> Vec<f32> {
+        if self.hidden == 0 {
+            return states;
+        }
+        states.chunks_exact(self.latent + self.hidden).flat_map(|row| &row[..self.latent]).copied().collect()
     }
 
     /// The limits of the latent states of a rollout.
@@ -116,16 +128,16 @@ impl SourceModel {
         if factor == 0.0 {
             return;
         }
-        let mut range = vec![0.0_f32; self.shape.latent];
-        let mut widen = |z: &[f32]| {
-            for row in z.chunks_exact(range.len()) {
+        let mut range = vec![0.0_f32; self.shape.library().latent];
+        let mut widen = |z: &[f32], n: usize| {
+            for row in z.chunks_exact(n) {
                 range.iter_mut().zip(row).for_each(|(a, z)| *a = a.max(z.abs()));
             }
         };
         for case in cases {
-            widen(&self.encode(&case.dense));
+            widen(&self.encode(&case.dense), self.shape.latent);
             if let Ok(z) = self.states(case) {
-                widen(&z);
+                widen(&z, self.shape.latent + self.shape.hidden);
             }
         }
         self.shape.soft_limits = range.into_iter().map(|a| (factor as f32 * a).max(f32::MIN_POSITIVE)).collect();

@@ -22,6 +22,8 @@ const TILE: usize = 192;
 /// `[J ρ]ᵀ [J ρ]`, upper tiles.
 pub struct Normal {
     n: usize,
+    /// Jᵀρ of all residuals, where the tiles hold some of them only.
+    slope: Option<Vec<f64>>,
     tiles: Vec<Tile>,
 }
 
@@ -37,12 +39,12 @@ impl Normal {
         let tiles = starts.iter().flat_map(|row| starts.iter().filter(|c| *c >= row).map(|column| (*row, *column)));
         let size = |at: usize| TILE.min(n - at);
         let tile = |(row, column)| Tile { row, column, sum: vec![0.0; size(row) * size(column)] };
-        Self { n, tiles: tiles.map(tile).collect() }
+        Self { n, slope: None, tiles: tiles.map(tile).collect() }
     }
 
     /// Entry of Jᵀρ.
     pub fn slope(&self, i: usize) -> f64 {
-        self.curvature(i, self.n - 1)
+        self.slope.as_ref().map_or_else(|| self.curvature(i, self.n - 1), |slope| slope[i])
     }
 
     /// Entry of JᵀJ.
@@ -72,11 +74,24 @@ impl Normal {
 impl Records<'_> {
     /// Normal equations at `xi` for the coefficients `kept` (indices into Ξ); samples past a divergence have no part.
     pub fn normal(&self, xi: &[f32], kept: &[usize]) -> Normal {
+        self.accumulate(xi, kept, 1)
+    }
+
+    /// The same with JᵀJ from every `every`-th sample only, weighted up; Jᵀρ is that of all samples.
+    pub fn normal_thinned(&self, xi: &[f32], kept: &[usize], every: usize) -> Normal {
+        let mut normal = self.accumulate(xi, kept, every);
+        let mut gradient = vec![0.0; xi.len()];
+        self.error(xi, Some(&mut gradient));
+        normal.slope = Some(kept.iter().map(|i| 0.5 * f64::from(gradient[*i])).collect());
+        normal
+    }
+
+    fn accumulate(&self, xi: &[f32], kept: &[usize], every: usize) -> Normal {
         let mut normal = Normal::new(kept.len() + 1);
         for group in &self.groups {
             let mut rolled = self.roll_out(group, xi);
             let reading = self.reading_slopes(&mut rolled);
-            Linearised { records: self, group, rolled, reading, kept }.add_to(&mut normal, xi);
+            Linearised { records: self, group, rolled, reading, kept, every }.add_to(&mut normal, xi);
         }
         normal
     }
@@ -104,6 +119,7 @@ struct Linearised<'a> {
     rolled: Rolled,
     reading: Vec<Vec<f32>>,
     kept: &'a [usize],
+    every: usize,
 }
 
 impl Linearised<'_> {
@@ -120,7 +136,9 @@ impl Linearised<'_> {
                 let mut rows = Vec::new();
                 for (t, slope) in samples.iter().zip(&slopes).filter(|(t, _)| **t < trajectory.valid[lane]) {
                     s.advance(library, slope, lane);
-                    self.push_rows(lane, *t, &s.state, &mut rows);
+                    if t.is_multiple_of(self.every) {
+                        self.push_rows(lane, *t, &s.state, &mut rows);
+                    }
                 }
                 rows
             };
@@ -131,13 +149,14 @@ impl Linearised<'_> {
 
     /// The rows `[J ρ]` of one lane and sample (1).
     fn push_rows(&self, lane: usize, t: usize, sensitivity: &[f32], rows: &mut Vec<f32>) {
-        let r = self.records.reader.model.shape.latent;
-        let (n, n_sensor) = (sensitivity.len() / r, self.reading.len());
+        let shape = &self.records.reader.model.shape;
+        let (r, width) = (shape.latent, shape.library().latent);
+        let (n, n_sensor) = (sensitivity.len() / width, self.reading.len());
         let at = lane * self.group.forcing.n_step() + t;
-        let scale = (f64::from(self.group.weight[lane]) / self.records.count).sqrt() as f32;
+        let scale = (self.every as f64 * f64::from(self.group.weight[lane]) / self.records.count).sqrt() as f32;
         let slopes: Vec<f32> = self.reading.iter().flat_map(|g| &g[at * r..(at + 1) * r]).map(|g| scale * g).collect();
         let mut all = vec![0.0; n_sensor * n];
-        let answers = view(sensitivity, n, r).transpose();
+        let answers = view(sensitivity, n, width).subcols(0, r).transpose();
         product(view_mut(&mut all, n_sensor, n), Accum::Replace, view(&slopes, n_sensor, r), answers);
         for (j, row) in all.chunks_exact(n).enumerate() {
             rows.extend(self.kept.iter().map(|i| row[*i]));

@@ -47,7 +47,7 @@ impl Penalty {
     }
 
     fn new(model: &SourceModel, metric: Option<Vec<f64>>) -> Self {
-        let (latent, n) = (model.shape.latent, model.shape.library().n_term());
+        let (latent, n) = (model.shape.library().latent, model.shape.library().n_term());
         let origin = model.coefficients().to_vec();
         let share = if metric.is_some() { PLAIN_SHARE } else { 1.0 };
         let blocks = (0..latent).map(|k| {
@@ -96,7 +96,7 @@ impl Penalty {
 fn second_moments(model: &SourceModel, case: &Case) -> (Vec<f64>, usize) {
     let library = model.shape.library();
     let (r, n) = (library.latent, library.n_term());
-    let z = model.encode(&case.dense);
+    let z = model.simulated_states(case);
     let drive = model.shape.drive(&case.u, &case.u_half, 1.0);
     let (n_sample, width) = (z.len() / r, drive.width);
     let driving = &drive.at[(model.shape.window - 1) * width..];

@@ -19,6 +19,8 @@ use super::settings::PretrainSettings;
 
 /// Channels that stand for all of them.
 const N_CHANNEL: usize = 8;
+/// JᵀJ is summed over every so many samples: successive ones of a motion say nearly the same.
+const THINNING: usize = 4;
 /// A polish ends when a step lowers the error by less than this share.
 const SMALLEST_GAIN: f64 = 1e-3;
 
@@ -65,7 +67,7 @@ pub fn polish(
     let mut xi = fixed.coefficients().to_vec();
     let (mut error, mut damping) = (records.misfit(&xi).0, FIRST_DAMPING);
     for _ in 0..steps {
-        let normal = records.normal(&xi, &free);
+        let normal = records.normal_thinned(&xi, &free, THINNING);
         let Some((moved, new)) = descend(&records, &penalty, &normal, &free, &xi, 0.0, error, &mut damping) else {
             return;
         };

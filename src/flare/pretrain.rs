@@ -9,7 +9,7 @@ use super::objective::{Objective, Scratch, Segment, Terms};
 use super::polish::polish;
 use super::resume::{TrainingState, fingerprint};
 use super::settings::PretrainSettings;
-use super::start::{linear_start, oscillators};
+use super::start::{linear_start, oscillators, wake_hidden};
 use super::validation::{Score, judge};
 use crate::error::{Error, Result};
 use crate::numerics::random::stream;
@@ -167,7 +167,7 @@ fn initial(
     seed: u64,
 ) -> Result<SourceModel> {
     let mut random = stream(seed, "pretrain start");
-    let mut parameters = oscillators(shape.library(), &mut random);
+    let mut parameters = oscillators(shape.library(), shape.latent, &mut random);
     parameters.extend(shape.encoder().initial(&mut random));
     parameters.extend(shape.decoder().initial(&mut random));
     let mask = vec![true; shape.library().n_coefficient()];
@@ -175,6 +175,7 @@ fn initial(
     if settings.linear_start {
         linear_start(&mut model, train, weight)?;
     }
+    wake_hidden(&mut model, &mut stream(seed, "pretrain hidden start"));
     Ok(model)
 }
 

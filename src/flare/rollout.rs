@@ -70,10 +70,10 @@ impl SourceModel {
     /// # Errors
     /// When the latent state leaves every bound.
     pub fn roll_out(&self, case: &Case) -> Result<Vec<f32>> {
-        Ok(self.decode(&self.states(case)?))
+        Ok(self.decode(&self.shape.visible(self.states(case)?)))
     }
 
-    /// The latent states `[(n_step − L + 1) · r]` of that rollout.
+    /// The states `[(n_step − L + 1) · (r + hidden)]` of that rollout.
     ///
     /// # Errors
     /// As [`SourceModel::roll_out`].
@@ -83,6 +83,20 @@ impl SourceModel {
         let drive = self.shape.drive(&case.u, &case.u_half, 1.0);
         let start = Start { z0: &z0, drive: &drive, from: t0 };
         one(self, self.coefficients(), start).map_err(|e| e.at(format!("case `{}`", case.id)))
+    }
+}
+
+impl SourceModel {
+    /// The states `[(n_step − L + 1) · (r + hidden)]` a simulation went through: encoded, and where hidden, rolled out.
+    pub fn simulated_states(&self, case: &Case) -> Vec<f32> {
+        let (r, width) = (self.shape.latent, self.shape.library().latent);
+        let encoded = self.encode(&case.dense);
+        if r == width {
+            return encoded;
+        }
+        let mut states = self.states(case).unwrap_or_else(|_| vec![0.0; encoded.len() / r * width]);
+        states.chunks_exact_mut(width).zip(encoded.chunks_exact(r)).for_each(|(s, z)| s[..r].copy_from_slice(z));
+        states
     }
 }
 
@@ -130,7 +144,7 @@ pub fn predict(
     let z0 = encoder.encode(window);
     let drive = model.shape.drive(u, u_half, 1.0);
     let z = one(model, xi, Start { z0: &z0, drive: &drive, from: t0 })?;
-    Ok(observe(observation, &model.decode(&z)))
+    Ok(observe(observation, &model.decode(&model.shape.visible(z))))
 }
 
 /// Normalised sensors `[n · n_sensor]` of normalised dense channels `[n · n_channel]`.

@@ -12,6 +12,9 @@ pub struct PretrainSettings {
     pub window: usize,
     /// Latent dimension, r (1…32).
     pub latent: usize,
+    /// Hidden states beside them: at rest in the beginning, moved by the same library, not encoded and not decoded; none
+    /// as published.
+    pub hidden: usize,
     /// Dense channels kept, evenly spaced over the elements.
     pub channels: usize,
     /// Sampling interval of the model (s).
@@ -74,6 +77,7 @@ impl Default for PretrainSettings {
         Self {
             window: 3,
             latent: 8,
+            hidden: 0,
             channels: 100,
             step_s: 0.05,
             segments: 5,
@@ -119,6 +123,7 @@ impl PretrainSettings {
             amplitude_weighting: 0.0,
             linear_start: false,
             memories: Memories::default(),
+            hidden: 0,
             energy_levels: 0,
             mirror: false,
             jitter: false,
@@ -133,6 +138,7 @@ impl PretrainSettings {
         let mut list = Problems::default();
         list.count("window", self.window, 1, 100);
         list.count("latent", self.latent, 1, 32);
+        list.count("hidden", self.hidden, 0, 32_usize.saturating_sub(self.latent));
         list.count("channels", self.channels, 1, 10_000);
         list.real("step_s", self.step_s, "s", 1e-4, 10.0);
         list.count("segments", self.segments, 1, 1000);

@@ -46,6 +46,7 @@ pub fn judge(model: &SourceModel, cases: &[Case], weight: &[f32], stress_factor:
     let (mut sums, mut medians) = ([0.0; 3], Vec::new());
     for (((case, z), (z_roll, _)), weight) in cases.iter().zip(&encoded).zip(&rolled).zip(weight) {
         let target = &case.dense[t0 * channels..];
+        let z_roll = &model.shape.visible(z_roll.clone());
         let response = model.decode(z_roll);
         let weight = f64::from(*weight) / cases.len() as f64;
         sums[0] += weight * mean_square_error(&response, target);

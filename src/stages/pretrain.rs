@@ -36,7 +36,7 @@ impl Stage for Pretrain {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn reads(&self) -> &'static [&'static str] {

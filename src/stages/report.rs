@@ -272,7 +272,7 @@ fn distill_content(task: &Task<'_>) -> Result<DistillContent> {
 
 fn calibrate_content(task: &Task<'_>) -> Result<Vec<CalibrationContent>> {
     let (model, _) = SourceModel::load(task.input("pretrain")?)?;
-    let r = model.shape.latent;
+    let r = model.shape.library().latent;
     let matrix = |xi: &[f32]| -> Vec<Vec<f64>> {
         let per_second = 1.0 / model.shape.step_s;
         (0..r).map(|k| xi.iter().skip(k).step_by(r).map(|v| f64::from(*v) * per_second).collect()).collect()
