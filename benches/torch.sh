@@ -35,6 +35,6 @@ peer, own = json.loads(sys.argv[1]), json.loads(sys.argv[2])
 print(f"{own['sequences']} x 60 x {own['channels']}, r = {own['latent']}, batch {own['batch']}, {own['threads']} threads: "
       f"flare {own['wall_min']:.3f} s, torch {peer['torch']} {sys.argv[3]} {peer['wall_min']:.3f} s, "
       f"ratio {peer['wall_min'] / own['wall_min']:.2f} (processor time {peer['user_min'] / own['user_min']:.2f}); "
-      f"products at {100 * own['product_share']:.0f} % of the AVX2 peak")
+      f"products at {100 * own['product_share']:.0f} % of the peak of one core")
 PY
 done

@@ -137,6 +137,7 @@ mod tests {
     fn problem() -> (SourceModel, Vec<Case>) {
         let settings = PretrainSettings {
             latent: 3,
+            hidden: 0,
             channels: 4,
             encoder_hidden: vec![5],
             memories: Default::default(),

@@ -77,7 +77,7 @@ impl Default for PretrainSettings {
         Self {
             window: 3,
             latent: 8,
-            hidden: 0,
+            hidden: 2,
             channels: 100,
             step_s: 0.05,
             segments: 5,
@@ -138,7 +138,9 @@ impl PretrainSettings {
         let mut list = Problems::default();
         list.count("window", self.window, 1, 100);
         list.count("latent", self.latent, 1, 32);
-        list.count("hidden", self.hidden, 0, 32_usize.saturating_sub(self.latent));
+        if self.latent <= 32 {
+            list.count("hidden", self.hidden, 0, 32 - self.latent);
+        }
         list.count("channels", self.channels, 1, 10_000);
         list.real("step_s", self.step_s, "s", 1e-4, 10.0);
         list.count("segments", self.segments, 1, 1000);
