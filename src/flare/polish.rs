@@ -80,3 +80,52 @@ pub fn polish(
         error = new;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::flare::model::Shape;
+    use crate::numerics::random::stream;
+    use rand::RngExt;
+
+    #[test]
+    fn every_step_lowers_the_error_of_whole_motions_and_moves_kept_coefficients_only() {
+        let settings = PretrainSettings {
+            latent: 3,
+            hidden: 1,
+            channels: 5,
+            encoder_hidden: vec![6],
+            decoder_hidden: vec![6],
+            ..Default::default()
+        };
+        let shape = Shape::new(&settings);
+        let mut random = stream(3, "polish");
+        let mut draw = |n: usize, scale: f32| -> Vec<f32> {
+            (0..n).map(|_| scale * (2.0 * random.random::<f32>() - 1.0)).collect()
+        };
+        let mut parameters = draw(shape.decoder_range().end, 0.4);
+        let n_coefficient = shape.library().n_coefficient();
+        parameters[..n_coefficient].iter_mut().for_each(|c| *c *= 0.1);
+        (0..4).for_each(|k| parameters[shape.library().linear_row(k) * 4 + k] -= 0.5);
+        let mask: Vec<bool> = (0..n_coefficient).map(|i| i % 5 != 2).collect();
+        let mut model = SourceModel { shape, parameters, mask };
+        let cases: Vec<Case> = (0..4)
+            .map(|i| Case {
+                id: i.to_string(),
+                u: draw(80, 1.0),
+                u_half: draw(79, 1.0),
+                dense: draw(400, 1.0),
+                sparse: vec![],
+            })
+            .collect();
+        let before = model.clone();
+        let mut errors = Vec::new();
+        polish(&mut model, &cases, &settings, 4, &mut |_, error| errors.push(error));
+        assert!(!errors.is_empty() && errors.windows(2).all(|e| e[1] < e[0]), "{errors:?}");
+        for (i, (a, b)) in model.parameters.iter().zip(&before.parameters).enumerate() {
+            let may_move = i < n_coefficient && before.mask[i];
+            assert!(may_move || a == b, "parameter {i} moved from {b} to {a}");
+        }
+        assert!(model.parameters != before.parameters);
+    }
+}
