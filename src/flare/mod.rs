@@ -38,7 +38,7 @@
 //! | + 2 hidden states (the default) | 0.0245 | 12.7 | 39 | 0.076, 0.060 |
 //! | + 4 hidden states | 0.0233 | 14.4 | 44 | 0.098, 0.054 |
 //! | centrifuge (r = 8): no hidden state | 0.0046 | 12.8 | 18 | 0.0060 |
-//! | centrifuge: 6 hidden states, 16 polish steps | 0.0025 | 8.3 | 14 | 0.0031 |
+//! | centrifuge: 6 hidden states (its manifest) | 0.0023 | 8.7 | 14 | 0.0032 |
 //!
 //! The last rows come from `flare-pipe run SITE --until evaluate --set pretrain.hidden=N`. What limits the rest: encoding and
 //! decoding alone leave 2 % on weak and 14 % on strong motions of Lotung, rolling out 11 and 39 %, on training motions
