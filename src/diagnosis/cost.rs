@@ -92,7 +92,12 @@ fn each_bin(
     let removed = scene.estimated_interference(effects, g);
     let mut bin = Bin::new(n_record, n_record * n_sensor);
     let all = Operators::new(scene, effects);
-    let inputs: Vec<Vec<C64>> = (0..n_record).map(|r| scene.true_input(effects, &all, g, r)).collect();
+    let seen_by = scene.input_sensor(effects, &all, g);
+    let input = |r: usize| {
+        let response = &responses.records[g][r];
+        if response.seen_by == seen_by { response.input.clone() } else { scene.true_input(effects, &all, g, r) }
+    };
+    let inputs: Vec<Vec<C64>> = (0..n_record).map(input).collect();
     let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
     for (k, f) in group.frequencies_hz.iter().enumerate() {

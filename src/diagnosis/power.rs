@@ -81,7 +81,7 @@ pub fn power(problem: &Problem, settings: &DiagnoseSettings, thresholds: Option<
     let fitter = search.fitter(&anchor);
     let unknowns = search.unknowns(&[]);
     let zero = vec![0.0; search.nuisances.len()];
-    let point = fitter.at(&unknowns, &zero, None, super::fit::ITERATIONS[0])?;
+    let point = fitter.at(&unknowns, &zero, None)?;
     let marginal = Marginal::new(&fitter, &unknowns, &point);
     let seen = Seen { fitter: &fitter, unknowns: &unknowns, point: &point, marginal: &marginal };
     let alarm = search.charge() + thresholds.map_or(0.0, |t| t.gain);

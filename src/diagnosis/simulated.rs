@@ -1,6 +1,5 @@
 //! Twins of an array on the fast column: the same events, split and noise, and a truth of one's own.
 
-use super::fit::ITERATIONS;
 use super::problem::{Event, NoiseSpectrum, Problem};
 use super::responses::Scene;
 use super::spectra::{self, smoothed};
@@ -31,7 +30,7 @@ impl Scene<'_> {
     /// When the column of the truth cannot be built.
     pub fn simulated(&self, truth: &[Box<dyn Effect>], disturbance: Disturbance) -> Result<Problem> {
         let all: Vec<usize> = (0..self.groups.len()).collect();
-        let responses = self.responses(truth, &all, None, ITERATIONS[0])?;
+        let responses = self.responses(truth, &all, None)?;
         let array = &self.problem.array;
         let mut problem = self.problem.clone();
         let names: Vec<String> = array.sensors().map(String::from).collect();

@@ -4,7 +4,7 @@ use super::artifact::{read_toml, write_json, write_toml};
 use super::correct::correction;
 use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
-use super::problem::{Bench, READS};
+use super::problem::{Bench, READS, refined};
 use super::{null_twins, records};
 use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, diagnose, thresholds};
 use crate::error::{Error, Result};
@@ -167,7 +167,7 @@ impl Stand {
     }
 
     fn bench(&self, events: Vec<(Split, Vec<Record>)>) -> Result<Bench<'static>> {
-        Bench::new(None, self.sections.clone(), self.tolerances.clone(), self.records.clone(), events)
+        Bench::new(None, refined(self.sections.clone(), &self.settings), self.tolerances.clone(), self.records.clone(), events)
     }
 
     fn outcome(&self, case: &Case, thresholds: &Thresholds) -> Result<Outcome> {

@@ -89,7 +89,7 @@ fn against_nonlinear(pga_scale: f64) -> f64 {
     }
     let scene = Scene::new(&problem, &settings()).unwrap();
     let all: Vec<usize> = (0..scene.groups.len()).collect();
-    let responses = scene.responses(&effects::build_all(&[]).unwrap(), &all, None, 8).unwrap();
+    let responses = scene.responses(&effects::build_all(&[]).unwrap(), &all, None).unwrap();
     let (mut miss, mut size) = (0.0, 0.0);
     for (g, group) in scene.groups.iter().enumerate() {
         for (r, record) in group.records.iter().enumerate() {
@@ -123,7 +123,7 @@ fn an_effect_changes_the_fast_column_as_it_changes_the_nonlinear_one() {
     let (before, after) = (replays.replay(&[]).unwrap(), replays.replay(&slow).unwrap());
     let scene = Scene::new(&problem, &settings()).unwrap();
     let all: Vec<usize> = (0..scene.groups.len()).collect();
-    let at = |tables: &[toml::Table]| scene.responses(&effects::build_all(tables).unwrap(), &all, None, 8).unwrap();
+    let at = |tables: &[toml::Table]| scene.responses(&effects::build_all(tables).unwrap(), &all, None).unwrap();
     let (fast_before, fast_after) = (at(&[]), at(&slow));
     let (mut miss, mut size) = (0.0, 0.0);
     for (g, group) in scene.groups.iter().enumerate() {
