@@ -7,6 +7,7 @@ use super::responses::Scene;
 use super::round::{Fitted, Ground, parameters};
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
+use super::unknowns::nuisances;
 use super::verdict;
 use crate::effects;
 use crate::error::Result;
@@ -31,11 +32,7 @@ pub fn diagnose(
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
     let mut scene = Scene::new(problem, settings)?;
-    let declared = {
-        let search = Search::new(&scene, settings, Some(replay))?;
-        search.anchored(&[], &vec![0.0; search.nuisances.len()], None)?
-    };
-    scene.distrust(&declared);
+    let declared = scene.declared(Some(replay), nuisances(problem)?.len())?;
     let search = Search::new(&scene, settings, Some(replay))?;
     let path = search.walk(declared, thresholds, progress)?;
     verdict::assemble(&search, &path, thresholds)

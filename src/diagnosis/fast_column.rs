@@ -1,6 +1,7 @@
 //! The column in the frequency domain, at moduli and damping compatible with its strains: what the search runs on.
 
 use super::curves::{Curve, Curves, Surroundings};
+use super::tuning::Tuning;
 use crate::column::{Analysis, Column, Features, Profile, Slice, Structure};
 use crate::error::Result;
 use crate::soil::{Point, Rate, Softening};
@@ -148,8 +149,8 @@ impl FastColumn {
         self.elements.iter().map(|e| e.depth_m / self.depth_m)
     }
 
-    /// Marches the column on `grid` with effective strains `gamma`, one an element.
-    pub fn march(&self, grid: Grid, gamma: &[f64], depths_m: &[f64]) -> March {
+    /// Marches the column on `grid` with effective strains `gamma`, one an element, its soil tuned.
+    pub fn march(&self, grid: Grid, gamma: &[f64], depths_m: &[f64], tuning: &Tuning) -> March {
         let n = grid.count;
         let omega: Vec<f64> = (0..n).map(|k| TAU * grid.frequency(k)).collect();
         let is_compliant = self.mass.len() > self.elements.len();
@@ -185,7 +186,8 @@ impl FastColumn {
             }
             let (Some(element), Some(gamma)) = (self.elements.get(i), gamma.get(i)) else { break };
             let (ratio, damping) = element.curve.at(*gamma);
-            let modulus = element.shear_modulus_pa * ratio;
+            let (factor, added) = tuning.at(element.depth_m / self.depth_m);
+            let (modulus, damping) = (element.shear_modulus_pa * ratio * factor, (damping + added).max(0.0));
             let stiffness =
                 [modulus + element.container_pa, 2.0 * damping * modulus, element.beta_s * element.shear_modulus_pa];
             let node = [self.mass[i], self.damping[i]];

@@ -1,12 +1,13 @@
 //! Columns under effects: one linear-equivalent column for each situation, responses of every record at its bins.
 
-use super::anchor::Anchor;
+use super::anchor::{Anchor, smoothing};
 use super::curves::Curves;
 use super::fast_column::{FastColumn, Grid, March, element_count};
 use super::operators::Operators;
 use super::problem::Problem;
 use super::settings::DiagnoseSettings;
 use super::spectra::{self, Group};
+use super::tuning::Tuning;
 use crate::column::Profile;
 use crate::effects::{self, Effect, Operator, Situation};
 use crate::error::Result;
@@ -21,7 +22,7 @@ type C64 = Complex<f64>;
 /// Effective strain over the largest strain.
 const EFFECTIVE: f64 = 0.7;
 /// Error of an extrapolation as a share of what the fast column misses at its anchor.
-const DISTRUST: f64 = 0.3;
+pub(super) const DISTRUST: f64 = 0.3;
 /// Most iterations of the strains of the declared column, the share of a step that each takes in ln, and the relative change
 /// of every strain at which they end.
 const GROUND: (usize, f64, f64) = (40, 0.5, 1e-4);
@@ -41,6 +42,8 @@ pub struct Scene<'a> {
     band_hz: [f64; 2],
     /// Effective strains of the declared column by group and record: where every iteration starts.
     ground: Arc<Vec<Vec<Vec<f64>>>>,
+    /// By group and record.
+    tuning: Arc<Vec<Vec<Tuning>>>,
 }
 
 /// Responses of the columns of all records.
@@ -53,8 +56,8 @@ pub struct Responses {
 /// The state of the input sensor as seen at three frequencies, and the channel that its motion is on.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InputSensor {
-    source: usize,
-    probes: [Operator; 3],
+    pub(super) source: usize,
+    pub(super) probes: [Operator; 3],
 }
 
 /// Response of one record's column.
@@ -82,29 +85,40 @@ impl<'a> Scene<'a> {
     /// # Errors
     /// When an event is unusable.
     pub fn new(problem: &'a Problem, settings: &DiagnoseSettings) -> Result<Self> {
-        let mut scene = Self::with(problem, settings, Arc::default(), Arc::default())?;
+        let groups = spectra::groups(problem, settings)?;
+        let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
+        let tuning = groups.iter().map(|g| vec![Tuning::default(); g.records.len()]).collect();
+        let mut scene = Self {
+            problem,
+            groups,
+            curves: Arc::default(),
+            elements: element_count(&problem.array.profile, high_hz),
+            band_hz: [settings.band_hz[0], high_hz],
+            ground: Arc::default(),
+            tuning: Arc::new(tuning),
+        };
         scene.ground = Arc::new(scene.ground_strains()?);
         Ok(scene)
     }
 
-    /// Prepares another problem of the same array and base motions, sharing curves and strains.
+    /// Prepares another problem of the same array and base motions, sharing curves, strains and tuning.
     ///
     /// # Errors
     /// When an event is unusable.
     pub fn sharing<'b>(&self, problem: &'b Problem, settings: &DiagnoseSettings) -> Result<Scene<'b>> {
-        Scene::with(problem, settings, self.curves.clone(), self.ground.clone())
+        Ok(Scene {
+            problem,
+            groups: spectra::groups(problem, settings)?,
+            curves: self.curves.clone(),
+            ground: self.ground.clone(),
+            tuning: self.tuning.clone(),
+            ..*self
+        })
     }
 
-    fn with(
-        problem: &'a Problem,
-        settings: &DiagnoseSettings,
-        curves: Arc<Curves>,
-        ground: Arc<Vec<Vec<Vec<f64>>>>,
-    ) -> Result<Self> {
-        let groups = spectra::groups(problem, settings)?;
-        let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
-        let elements = element_count(&problem.array.profile, high_hz);
-        Ok(Self { problem, groups, curves, elements, band_hz: [settings.band_hz[0], high_hz], ground })
+    /// Tunes the fast column of each record.
+    pub(super) fn set_tuning(&mut self, tuning: Vec<Vec<Tuning>>) {
+        self.tuning = Arc::new(tuning);
     }
 
     /// Strains of the column as declared, compatible with its moduli and damping.
@@ -121,7 +135,8 @@ impl<'a> Scene<'a> {
                 let input = self.true_input(&effects, &operators, g, r);
                 let start = vec![START_STRAIN; column.n_element()];
                 let (iterations, share, enough) = GROUND;
-                Ok(self.compatible([g, r], (&column, grid), &input, start, (iterations, share, enough)))
+                let column = (&column, grid, Tuning::default());
+                Ok(self.compatible([g, r], column, &input, start, (iterations, share, enough)))
             })
             .collect::<Result<_>>()?;
         let mut all = vec![Vec::new(); self.groups.len()];
@@ -129,7 +144,8 @@ impl<'a> Scene<'a> {
         Ok(all)
     }
 
-    fn record_indices(&self) -> impl Iterator<Item = [usize; 2]> {
+    /// Group and index of every record.
+    pub(super) fn record_indices(&self) -> impl Iterator<Item = [usize; 2]> {
         self.groups.iter().enumerate().flat_map(|(g, group)| (0..group.records.len()).map(move |r| [g, r]))
     }
 
@@ -137,7 +153,7 @@ impl<'a> Scene<'a> {
     fn compatible(
         &self,
         [g, r]: [usize; 2],
-        (column, grid): (&FastColumn, Grid),
+        (column, grid, tuning): (&FastColumn, Grid, Tuning),
         input: &[C64],
         mut gamma: Vec<f64>,
         (iterations, share, enough): (usize, f64, f64),
@@ -147,7 +163,7 @@ impl<'a> Scene<'a> {
         let displacement: Vec<C64> = bins.map(|(f, a)| a / -(TAU * f).powi(2)).collect();
         let to_effective = EFFECTIVE * record.peak_factor * 2.0f64.sqrt() / record.window.len() as f64;
         for _ in 0..iterations {
-            let norm = column.march(grid, &gamma, &[]).strain_norm(&group.frequencies_hz, &displacement);
+            let norm = column.march(grid, &gamma, &[], &tuning).strain_norm(&group.frequencies_hz, &displacement);
             let mut moved: f64 = 0.0;
             for (gamma, norm) in gamma.iter_mut().zip(norm) {
                 let step = (to_effective * norm).max(1e-9) / *gamma;
@@ -171,8 +187,7 @@ impl<'a> Scene<'a> {
     /// it cannot follow do not lead the search.
     pub fn distrust(&mut self, anchor: &Anchor) {
         for (group, anchors) in self.groups.iter_mut().zip(&anchor.records) {
-            let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
-            let half = (spectra::SMOOTH_HZ / step_hz).round().max(1.0) as usize;
+            let half = smoothing(&group.frequencies_hz);
             for (record, anchor) in group.records.iter_mut().zip(anchors) {
                 let Some(anchor) = anchor else { continue };
                 let count = record.noise.len() - 1;
@@ -243,7 +258,7 @@ impl<'a> Scene<'a> {
                     return near.clone();
                 }
                 let near = near.map(AsRef::as_ref);
-                Arc::new(self.respond((effects, &operators), [g, r], &columns[index], &depths_m, near))
+                Arc::new(self.respond((effects, &operators), [g, r], &columns[index], &depths_m, (near, self.tuning[g][r])))
             })
             .collect();
         let mut records = vec![Vec::new(); self.groups.len()];
@@ -267,7 +282,7 @@ impl<'a> Scene<'a> {
         [g, r]: [usize; 2],
         (profile, column): &(Arc<Profile>, Arc<FastColumn>),
         depths_m: &[f64],
-        near: Option<&RecordResponse>,
+        (near, tuning): (Option<&RecordResponse>, Tuning),
     ) -> RecordResponse {
         let group = &self.groups[g];
         let grid = Grid::around(self.band_hz[0], self.band_hz[1], column.grid_step_hz());
@@ -284,8 +299,8 @@ impl<'a> Scene<'a> {
             column.relative_depths().map(at).collect()
         };
         let (iterations, share) = FROM_GROUND;
-        let strain = self.compatible([g, r], (column, grid), &input, start, (iterations, share, 0.0));
-        let march = column.march(grid, &strain, depths_m);
+        let strain = self.compatible([g, r], (column, grid, tuning), &input, start, (iterations, share, 0.0));
+        let march = column.march(grid, &strain, depths_m, &tuning);
         let mut transfer = vec![C64::default(); group.frequencies_hz.len() * depths_m.len()];
         for (f, out) in group.frequencies_hz.iter().zip(transfer.chunks_exact_mut(depths_m.len())) {
             march.response(*f, out);
@@ -305,6 +320,19 @@ impl<'a> Scene<'a> {
             seen_by,
             motion,
         }
+    }
+
+    /// Motion at the output sensors of record `r` of group `g`, tuned otherwise: `[bin][sensor]`.
+    pub(super) fn motion_with(&self, effects: &[Box<dyn Effect>], [g, r]: [usize; 2], tuning: Tuning) -> Result<Vec<C64>> {
+        let array = &self.problem.array;
+        let profile = self.profile(effects, &self.problem.events[self.groups[g].records[r].event].situation);
+        let column = Arc::new(FastColumn::new(&profile, self.elements, &self.curves)?);
+        let bottom_m = array.profile.depth_m();
+        let sensors = array.outputs.iter().zip(&array.depths_m);
+        let depths_m: Vec<f64> = sensors.map(|(name, z)| effects::depth_m(effects, name, *z, bottom_m)).collect();
+        let operators = Operators::new(self, effects);
+        let column = (Arc::new(profile), column);
+        Ok(self.respond((effects, &operators), [g, r], &column, &depths_m, (None, tuning)).motion)
     }
 
     /// Motions of the output sensors' places under `input`, both at the convolver's frequencies.
@@ -342,7 +370,7 @@ impl<'a> Scene<'a> {
     ) -> Vec<Vec<f64>> {
         let response = &responses.records[g][r];
         let grid = Grid::around(self.band_hz[0], self.band_hz[1], response.column.grid_step_hz());
-        let march = response.column.march(grid, &response.strain, &response.depths_m);
+        let march = response.column.march(grid, &response.strain, &response.depths_m, &self.tuning[g][r]);
         let input = self.padded_input(effects, &Operators::new(self, effects), g, r);
         let bins = self.motion_bins(g, &march, &input, response.depths_m.len());
         bins.into_iter().map(|bins| self.groups[g].convolver.history(bins.into_iter())).collect()

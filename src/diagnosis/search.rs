@@ -147,6 +147,6 @@ impl<'a> Search<'a> {
         let built = unknowns.build(&self.scene.problem.declared, x)?;
         let all: Vec<usize> = (0..self.scene.groups.len()).collect();
         let responses = self.scene.responses(&built, &all, None)?;
-        Anchor::replayed(self.scene, replay, (&unknowns.tables(x), x), &responses, before)
+        Ok(Anchor::of(self.scene, &replay.replay(&unknowns.tables(x))?, x, &responses, before))
     }
 }

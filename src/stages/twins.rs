@@ -65,7 +65,7 @@ impl Stage for TwinThresholds {
         let truth = stand.matrix.template(&stand.truth, stand.seed);
         let events = stand.record(&truth, &[Split::Train, Split::Validation])?;
         let bench = stand.bench(events)?;
-        null_twins::write(task.output_dir(), &thresholds(&bench.problem, &stand.settings, task.progress())?)
+        null_twins::write(task.output_dir(), &thresholds(&bench.problem, Some(&bench), &stand.settings, task.progress())?)
     }
 }
 
