@@ -62,4 +62,5 @@ pub use repeatable::{Partition, partition};
 pub use responses::Scene;
 pub use settings::DiagnoseSettings;
 pub use simulated::Disturbance;
+pub use tuning::Tuning;
 pub use unknowns::{Nuisance, nuisances};

@@ -258,7 +258,13 @@ impl<'a> Scene<'a> {
                     return near.clone();
                 }
                 let near = near.map(AsRef::as_ref);
-                Arc::new(self.respond((effects, &operators), [g, r], &columns[index], &depths_m, (near, self.tuning[g][r])))
+                Arc::new(self.respond(
+                    (effects, &operators),
+                    [g, r],
+                    &columns[index],
+                    &depths_m,
+                    (near, self.tuning[g][r]),
+                ))
             })
             .collect();
         let mut records = vec![Vec::new(); self.groups.len()];
@@ -293,11 +299,8 @@ impl<'a> Scene<'a> {
         };
         let known = &self.ground[g][r];
         let at = |x: f64| known[((x * known.len() as f64) as usize).min(known.len() - 1)];
-        let start = if known.len() == column.n_element() {
-            known.clone()
-        } else {
-            column.relative_depths().map(at).collect()
-        };
+        let start =
+            if known.len() == column.n_element() { known.clone() } else { column.relative_depths().map(at).collect() };
         let (iterations, share) = FROM_GROUND;
         let strain = self.compatible([g, r], (column, grid, tuning), &input, start, (iterations, share, 0.0));
         let march = column.march(grid, &strain, depths_m, &tuning);
@@ -323,7 +326,12 @@ impl<'a> Scene<'a> {
     }
 
     /// Motion at the output sensors of record `r` of group `g`, tuned otherwise: `[bin][sensor]`.
-    pub(super) fn motion_with(&self, effects: &[Box<dyn Effect>], [g, r]: [usize; 2], tuning: Tuning) -> Result<Vec<C64>> {
+    pub(super) fn motion_with(
+        &self,
+        effects: &[Box<dyn Effect>],
+        [g, r]: [usize; 2],
+        tuning: Tuning,
+    ) -> Result<Vec<C64>> {
         let array = &self.problem.array;
         let profile = self.profile(effects, &self.problem.events[self.groups[g].records[r].event].situation);
         let column = Arc::new(FastColumn::new(&profile, self.elements, &self.curves)?);
@@ -349,12 +357,7 @@ impl<'a> Scene<'a> {
     }
 
     /// What tells one state of the input sensor from another in group `g`.
-    pub(super) fn input_sensor(
-        &self,
-        effects: &[Box<dyn Effect>],
-        operators: &Operators<'_>,
-        g: usize,
-    ) -> InputSensor {
+    pub(super) fn input_sensor(&self, effects: &[Box<dyn Effect>], operators: &Operators<'_>, g: usize) -> InputSensor {
         let frequencies_hz = &self.groups[g].frequencies_hz;
         let n = frequencies_hz.len();
         let probes = [0, n / 3, n - 1].map(|k| operators.at(0, frequencies_hz[k]));

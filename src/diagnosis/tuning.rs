@@ -108,7 +108,8 @@ fn least(residual: impl Fn([f64; 3]) -> Result<Vec<f64>>) -> Result<[f64; 3]> {
         let before = square(&r);
         for _ in 0..5 {
             let normal = Mat::from_fn(3, 3, |i, j| {
-                dot(&columns[i], &columns[j]) * if i == j { 1.0 + lambda } else { 1.0 } + if i == j { 1e-9 } else { 0.0 }
+                dot(&columns[i], &columns[j]) * if i == j { 1.0 + lambda } else { 1.0 }
+                    + if i == j { 1e-9 } else { 0.0 }
             });
             let Ok(factor) = normal.llt(Side::Lower) else { return Ok(p) };
             let step = factor.solve(Mat::from_fn(3, 1, |i, _| -dot(&columns[i], &r)));
