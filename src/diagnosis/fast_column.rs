@@ -1,6 +1,7 @@
 //! The column in the frequency domain, at moduli and damping compatible with its strains: what the search runs on.
 
-use super::curves::{Curve, Curves, Surroundings};
+use super::curves::{Curve, Curves};
+use super::surroundings::Surroundings;
 use super::tuning::Tuning;
 use crate::column::{Analysis, Column, Features, Profile, Slice, Structure};
 use crate::error::Result;

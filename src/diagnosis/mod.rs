@@ -36,6 +36,7 @@ mod search;
 mod settings;
 mod simulated;
 mod spectra;
+mod surroundings;
 mod tuning;
 mod unknowns;
 mod verdict;
