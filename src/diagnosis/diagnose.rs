@@ -7,6 +7,7 @@ use super::responses::Scene;
 use super::round::{Fitted, Ground, parameters};
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
+use super::unknowns::nuisances;
 use super::verdict;
 use crate::effects;
 use crate::error::Result;
@@ -31,11 +32,7 @@ pub fn diagnose(
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
     let mut scene = Scene::new(problem, settings)?;
-    let declared = {
-        let search = Search::new(&scene, settings, Some(replay))?;
-        search.anchored(&[], &vec![0.0; search.nuisances.len()], None)?
-    };
-    scene.distrust(&declared);
+    let declared = scene.declared(Some(replay), nuisances(problem)?.len())?;
     let search = Search::new(&scene, settings, Some(replay))?;
     let path = search.walk(declared, thresholds, progress)?;
     verdict::assemble(&search, &path, thresholds)
@@ -175,27 +172,45 @@ impl Search<'_> {
         if self.replay.is_none() {
             return Ok((fitted, anchor.clone()));
         }
-        let (mut best, mut best_anchor) = (declared.clone(), anchor.clone());
-        let mut wanted = fitted;
-        for _ in 0..MAX_ANCHORS {
-            let next = self.anchored(&[], wanted.x(), Some(&best_anchor))?;
-            let seen = self.settle(&[], wanted.x(), &next, Some(&wanted), 0)?;
-            progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", wanted.cost(), seen.cost()));
-            if seen.cost() < best.cost() {
-                let is_done = seen.cost() > 0.995 * best.cost();
-                (best, best_anchor) = (seen, next);
+        let declared = Some((declared.clone(), anchor.clone()));
+        self.replayed_until_settled(fitted, declared, (MAX_ANCHORS, f64::INFINITY), progress)
+    }
+
+    /// Replays `wanted`, fits from there, and again as long as that helps, at most `most` times; gives up where the second
+    /// replay still costs more than twice what is at stake. `best` is what is known already.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn replayed_until_settled(
+        &self,
+        mut wanted: Model,
+        mut best: Option<(Model, Anchor)>,
+        (most, at_stake): (usize, f64),
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let effects = wanted.effects.clone();
+        for number in 0..most {
+            let next = self.anchored(&effects, wanted.x(), best.as_ref().map(|b| &b.1))?;
+            let seen = self.settle(&effects, wanted.x(), &next, Some(&wanted), 0)?;
+            let name = effects.last().map_or("recalibration", |e| e.kind);
+            progress.note(&format!("{name}: cost {:.0} expected, {:.0} found", wanted.cost(), seen.cost()));
+            let before = best.as_ref().map_or(f64::INFINITY, |b| b.0.cost());
+            if seen.cost() < before {
+                let is_done = seen.cost() > 0.995 * before || (number > 0 && seen.cost() > 2.0 * at_stake);
+                wanted = self.settle(&effects, seen.x(), &next, Some(&seen), STEPS[1])?;
+                best = Some((seen, next));
                 if is_done {
                     break;
                 }
-                wanted = self.settle(&[], best.x(), &best_anchor, Some(&best), STEPS[1])?;
-            } else {
+            } else if let Some((best, anchor)) = &best {
                 // The fast column promised what the nonlinear one does not keep: half the way.
                 let x: Vec<f64> = best.x().iter().zip(wanted.x()).map(|(a, b)| 0.5 * (a + b)).collect();
-                wanted = self.settle(&[], &x, &best_anchor, Some(&best), 0)?;
+                wanted = self.settle(&effects, &x, anchor, Some(best), 0)?;
             }
         }
-        let fitted = self.settle(&[], best.x(), &best_anchor, Some(&best), STEPS[1])?;
-        Ok((fitted, best_anchor))
+        let Some((best, anchor)) = best else { return Ok((wanted, Anchor::fast(self.scene))) };
+        let fitted = self.settle(&effects, best.x(), &anchor, Some(&best), STEPS[1])?;
+        Ok((fitted, anchor))
     }
 
     /// Takes out effects that later ones have made needless.

@@ -36,6 +36,8 @@ mod search;
 mod settings;
 mod simulated;
 mod spectra;
+mod surroundings;
+mod tuning;
 mod unknowns;
 mod verdict;
 
@@ -61,4 +63,5 @@ pub use repeatable::{Partition, partition};
 pub use responses::Scene;
 pub use settings::DiagnoseSettings;
 pub use simulated::Disturbance;
+pub use tuning::Tuning;
 pub use unknowns::{Nuisance, nuisances};

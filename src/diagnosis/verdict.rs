@@ -196,11 +196,10 @@ fn tolerance_alarms(
 fn upper_bounds(search: &Search<'_>, fitter: &Fitter<'_>, model: &Model) -> Vec<UpperBound> {
     let unknowns = search.unknowns(&model.effects);
     let marginal = Marginal::new(fitter, &unknowns, &model.train);
-    let drifted = fitter.drifted(&unknowns, &model.train);
     let mut bounds: BTreeMap<(String, String), UpperBound> = BTreeMap::new();
     for instance in &search.instances {
         let (Some(free), Some(zero)) = (instance.free.first(), instance.zero()) else { continue };
-        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero, &drifted) else { continue };
+        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero) else { continue };
         let Some((step, normal)) = marginal.score(&model.train.residual, &column) else { continue };
         let deviation = 1.0 / normal[(0, 0)].sqrt();
         let size = step[0].abs() + TWO_SIDED * deviation;

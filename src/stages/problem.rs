@@ -5,7 +5,7 @@ use super::instrument::{Instrument, by_event};
 use super::records;
 use super::replay::{base_motions, replayed};
 use super::shake::{Response, shake};
-use crate::diagnosis::{self, Event, Problem, Replay};
+use crate::diagnosis::{self, DiagnoseSettings, Event, Problem, Replay};
 use crate::effects::Situation;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
@@ -51,6 +51,7 @@ impl<'a> Bench<'a> {
         let settings: RecordSettings = task.section("records")?;
         let opened = records::settings_without_test(task)?;
         let found = by_event(records::read(task.input("records")?, &opened, &sections.sensors)?.records);
+        let sections = refined(sections, &task.section("diagnose")?);
         Self::new(Some(task), sections, task.section("tolerances")?, settings, found)
     }
 
@@ -80,6 +81,14 @@ impl<'a> Bench<'a> {
         let instrument = Instrument::new(&self.sections.sensors, self.sections.site.depth_m, &tables)?;
         replayed(self.task, &self.sections, &instrument, &self.settings, events)
     }
+}
+
+/// `sections` with the steps of the diagnosis' replays.
+pub fn refined(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+    let analysis = &mut sections.analysis;
+    analysis.max_step_s = analysis.max_step_s.min(settings.max_step_s);
+    analysis.initial_step_s = analysis.initial_step_s.min(analysis.max_step_s);
+    sections
 }
 
 fn problem(
