@@ -160,6 +160,7 @@ fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
             parameters,
             gain: accepted.gain,
             validation_gain: accepted.validation_gain,
+            is_standing: false,
         }
     };
     path.corrected.effects.iter().zip(&path.accepted).map(of).collect()
