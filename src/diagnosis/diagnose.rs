@@ -39,9 +39,9 @@ pub fn diagnose(
     for s in &standing {
         progress.note(&format!("{} {} stands whatever the profile", s.found.kind, s.found.target));
     }
-    let (known, replay) = beside(problem, replay, &standing);
-    let rest = diagnose_rest(&known, &replay, settings, thresholds, progress)?;
-    Ok(together(standing, rest))
+    let (known, beside) = beside(problem, replay, &standing);
+    let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
+    together(standing, rest, problem, replay, settings)
 }
 
 /// What the declared model and its `declared` effects lack.
@@ -62,9 +62,9 @@ fn diagnose_rest(
     // Once relabelled, records cannot be suspected of the same again.
     if let Some(labels) = suspicion.map(labels).filter(|l| l.iter().any(|l| !problem.declared.contains(&l.found.table)))
     {
-        let (known, replay) = beside(problem, replay, &labels);
-        let rest = diagnose_rest(&known, &replay, settings, thresholds, progress)?;
-        return Ok(together(labels, rest));
+        let (known, beside) = beside(problem, replay, &labels);
+        let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
+        return together(labels, rest, problem, replay, settings);
     }
     scene.distrust(&declared);
     let search = Search::new(&scene, settings, Some(replay))?;

@@ -2,11 +2,12 @@
 
 use super::hygiene::Suspicion;
 use super::low_frequency::{Error, Passed, passed};
-use super::outcome::{Diagnosis, Estimate, Found, Verdict};
+use super::outcome::{Candidate, Diagnosis, Estimate, Excess, Found, Verdict};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
-use super::search::Search;
+use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
+use super::verdict::excess;
 use crate::effects::{self, Array, Class};
 use crate::error::Result;
 use std::collections::BTreeMap;
@@ -15,8 +16,9 @@ use toml::{Table, Value};
 
 /// Distance from what is declared that is beyond doubt, in standard deviations.
 const BEYOND: f64 = 4.0;
-/// Corner of a high-pass that any instrument may have, Hz.
-const HIGH_PASS_HZ: f64 = 0.01;
+/// What the field is from one-dimensional at low frequencies, by [`KINDS`]: 3 %, 3 ms, a corner of 0.01 Hz that any instrument may
+/// have, 1°.
+const FIELD: [f64; 4] = [0.03, 0.003, 0.01, 0.017];
 /// Normal quantile of a two-sided 95 % interval.
 const TWO_SIDED: f64 = 1.96;
 
@@ -33,6 +35,8 @@ pub struct Standing {
 
 /// Cost over that of noise alone up to which amplitudes of the whole band are trusted.
 const TRUSTED: f64 = 2.0;
+/// The effect that delays all output sensors.
+const BASE: &str = "compliant_base";
 /// Steps of a recalibration.
 const STEPS: usize = 6;
 
@@ -62,9 +66,9 @@ pub fn decided(
             };
             let others = standing.iter().enumerate().filter(|(i, _)| *i != at).map(|(_, s)| s.clone());
             let beside: Vec<Standing> = own.iter().cloned().chain(others).collect();
-            options.extend(
-                settled(problem, replay, settings, &beside, own.is_none().then_some(kind.as_str()))?.map(|m| (own, m)),
-            );
+            let more = own.is_none().then_some(kind.as_str());
+            let model = settled(problem, replay, settings, &beside, more)?;
+            options.extend(model.map(|(m, _)| (own, [m.cost(), m.level()])));
         }
         options.sort_by(|a, b| a.1[0].total_cmp(&b.1[0]));
         let is_clear = match options.as_slice() {
@@ -79,6 +83,11 @@ pub fn decided(
                 standing.remove(at);
                 continue;
             }
+            // Where several output sensors share a delay, the search has their differences to judge a base by.
+            None if alike.iter().any(|kind| kind == BASE) && problem.array.outputs.len() > 1 => {
+                standing.remove(at);
+                continue;
+            }
             None => {}
         }
         at += 1;
@@ -86,14 +95,14 @@ pub fn decided(
     Ok(standing)
 }
 
-/// Cost and level of the recalibrated model beside what stands, and with an effect of `kind` more.
+/// The recalibrated model beside what stands, with an effect of `kind` more; with the tables of its nuisances.
 fn settled(
     problem: &Problem,
     replay: &dyn Replay,
     settings: &DiagnoseSettings,
     standing: &[Standing],
     kind: Option<&str>,
-) -> Result<Option<[f64; 2]>> {
+) -> Result<Option<(Model, Vec<Table>)>> {
     let (known, replay) = beside(problem, replay, standing);
     let scene = Scene::new(&known, settings)?;
     let search = Search::new(&scene, settings, Some(&replay))?;
@@ -106,7 +115,8 @@ fn settled(
         effects.push(instance.clone());
     }
     let model = search.settle(&effects, &x, &anchor, None, STEPS)?;
-    Ok(Some([model.cost(), model.level()]))
+    let tables = search.unknowns(&[]).nuisance_tables(&model.x()[..search.nuisances.len()]);
+    Ok(Some((model, tables)))
 }
 
 /// The low-pass that delays low frequencies as the clock of `standing` does.
@@ -150,33 +160,54 @@ impl Replay for Beside<'_> {
     }
 }
 
-/// What stands, and what else was found on top of it.
-pub fn together(standing: Vec<Standing>, mut rest: Diagnosis) -> Diagnosis {
-    for s in &standing {
-        let Standing { found, alike, why } = s;
+/// What stands, and what else was found on top of it; the recalibrated model is that of `problem` without any of it.
+///
+/// # Errors
+/// As [`decided`].
+pub fn together(
+    standing: Vec<Standing>,
+    mut rest: Diagnosis,
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+) -> Result<Diagnosis> {
+    if let Some((model, nuisances)) = settled(problem, replay, settings, &[], None)? {
+        let cost =
+            |e: &Excess| e.train * (2.0 * model.expected[0]).sqrt() + e.validation * (2.0 * model.expected[1]).sqrt();
+        rest.recalibrated = excess(&model);
+        let [lost, left] = [&rest.recalibrated, &rest.corrected].map(cost);
+        rest.explained_share = (lost > 0.0).then(|| (1.0 - left / lost).clamp(0.0, 1.0));
+        rest.nuisances = nuisances;
+    }
+    for Standing { found, alike, why } in &standing {
         rest.notes.push(format!("`{}` at {} {why}", found.kind, found.target));
         if alike.len() > 1 {
             rest.notes.push(format!("at low frequencies {} look the same", alike.join(", ")));
-            let new: Vec<String> = alike.iter().filter(|kind| !rest.ambiguity.contains(kind)).cloned().collect();
-            rest.ambiguity.extend(new);
         }
+        // Kinds that explain the records as well are named with those that were chosen.
+        let named = if alike.len() > 1 || !rest.ambiguity.is_empty() { alike.as_slice() } else { &[] };
+        let new: Vec<String> = named.iter().filter(|kind| !rest.ambiguity.contains(kind)).cloned().collect();
+        rest.ambiguity.extend(new);
     }
-    let is_ambiguous = standing.iter().any(|s| s.alike.len() > 1);
     rest.verdict = match rest.verdict {
-        Verdict::None | Verdict::Known if is_ambiguous => Verdict::Ambiguous,
+        Verdict::None | Verdict::Known if standing.iter().any(|s| s.alike.len() > 1) => Verdict::Ambiguous,
         Verdict::None => Verdict::Known,
         other => other,
     };
-    // Kinds that explain the records as well are named with those that were chosen.
-    if !rest.ambiguity.is_empty() {
-        for kind in standing.iter().map(|s| &s.found.kind) {
-            if !rest.ambiguity.contains(kind) {
-                rest.ambiguity.push(kind.clone());
-            }
-        }
-    }
+    let tried = standing.iter().map(|s| Candidate {
+        kind: s.found.kind.clone(),
+        target: s.found.target.clone(),
+        class: s.found.class,
+        gain: s.found.gain,
+        validation_gain: s.found.validation_gain,
+        explained_share: rest.explained_share.unwrap_or_default(),
+        round: 0,
+        is_confirmed: true,
+        table: s.found.table.clone(),
+    });
+    rest.candidates.splice(0..0, tried.collect::<Vec<_>>());
     rest.effects.splice(0..0, standing.into_iter().map(|s| s.found));
-    rest
+    Ok(rest)
 }
 
 /// Kinds of [`Passed::errors`], with the parameter and its unit.
@@ -192,7 +223,7 @@ const KINDS: [[&str; 3]; 4] = [
 /// One output sensor tells no more than its error less that of the input sensor: it is then put down to the output sensor.
 /// What most of several output sensors share is put down to the input sensor.
 ///
-/// Limits: at a low-pass or a base that lets waves out, motions are late at low frequencies as if a clock were wrong.
+/// Limits: waves that come aslant or run along the surface are in [`FIELD`] only; at a low-pass or a base that lets waves out, motions are late at low frequencies as if a clock were wrong.
 /// Check:  `what_all_outputs_share_is_the_input_sensors`.
 pub fn standing(problem: &Problem, settings: &DiagnoseSettings) -> Vec<Standing> {
     let passed = passed(problem, settings.band_hz[0]);
@@ -205,12 +236,13 @@ pub fn standing(problem: &Problem, settings: &DiagnoseSettings) -> Vec<Standing>
     let mut of_outputs = vec![Vec::new(); n];
     reflections(problem, &passed, &mut of_input, &mut of_outputs);
     let t = &problem.tolerances;
-    let tolerances = [t.gain_ln, t.clock_s, HIGH_PASS_HZ, t.orientation_deg.to_radians()];
+    let tolerances = [t.gain_ln, t.clock_s, 0.0, t.orientation_deg.to_radians()];
     for (kind, tolerance) in tolerances.into_iter().enumerate() {
+        let tolerance = tolerance.hypot(FIELD[kind]);
         let own: Vec<Error> = passed.iter().map(|p| p.errors[kind].unwrap_or(NOTHING)).collect();
         let common = shared(&own, tolerance);
         if let Some(common) = common {
-            of_input.push(effect(kind, &array.input, Error { value: -common.value, ..common }, n > 1));
+            of_input.push(effect(kind, &array.input, Error { value: -common.value, ..common }, common.value > 0.0));
         }
         let common = common.map_or(0.0, |c| c.value);
         for (j, own) in own.iter().enumerate() {
@@ -221,9 +253,9 @@ pub fn standing(problem: &Problem, settings: &DiagnoseSettings) -> Vec<Standing>
             }
             // A corner cannot be negative: it is the other sensor's.
             if kind != 2 || rest.value > 0.0 {
-                of_outputs[j].push(effect(kind, sensor, rest, n == 1));
+                of_outputs[j].push(effect(kind, sensor, rest, n == 1 && rest.value > 0.0));
             } else if n == 1 {
-                of_input.push(effect(kind, &array.input, Error { value: -rest.value, ..rest }, true));
+                of_input.push(effect(kind, &array.input, Error { value: -rest.value, ..rest }, false));
             }
         }
     }
@@ -287,9 +319,10 @@ fn table(kind: &str, sensor: &str) -> Table {
     Table::from_iter([("kind".to_string(), Value::from(kind)), ("sensor".to_string(), Value::from(sensor))])
 }
 
-/// The effect of `KINDS[kind]` at `sensor`; `is_common` where all output sensors show it.
-fn effect(kind: usize, sensor: &str, error: Error, is_common: bool) -> Standing {
+/// The effect of `KINDS[kind]` at `sensor`; `all_late` where it makes all output sensors late against the input sensor.
+fn effect(kind: usize, sensor: &str, error: Error, all_late: bool) -> Standing {
     let [name, parameter, unit] = KINDS[kind];
+    let error = Error { deviation: error.deviation.hypot(FIELD[kind]), ..error };
     let in_unit = |x: f64| if kind == 3 { x.to_degrees() } else { x };
     let turned = if kind == 3 { (error.value + PI).rem_euclid(TAU) - PI } else { error.value };
     let [low, value, high] = [-TWO_SIDED, 0.0, TWO_SIDED].map(|s| in_unit(turned + s * error.deviation));
@@ -300,8 +333,8 @@ fn effect(kind: usize, sensor: &str, error: Error, is_common: bool) -> Standing 
     if name == "clock_offset" {
         alike.extend(["clock_offset", "instrument_low_pass"]);
         // A compliant base delays every output sensor against what is declared to shake it.
-        if is_common {
-            alike.push("compliant_base");
+        if all_late {
+            alike.push(BASE);
         }
     }
     let deviations = error.value / error.deviation.max(f64::MIN_POSITIVE);
