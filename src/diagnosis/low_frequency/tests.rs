@@ -74,7 +74,7 @@ fn problem(table: &str) -> Problem {
         for c in 0..2 {
             events.push(Event {
                 name: name.clone(),
-                situation: Situation::of(c, &name, ["E0"].into_iter()),
+                situation: Situation::of(c, &name, ["E0"]),
                 split: Split::Train,
                 dt_s: DT_S,
                 input: recorded[0][c].clone(),
