@@ -1,8 +1,10 @@
 //! What every column passes alike: well below its first resonance a motion reaches each depth with the same amplitude and
 //! without delay, whatever the profile. Errors of sensors show there even where the declared profile is poor.
 
+mod column;
+
 use super::problem::Problem;
-use crate::column::Profile;
+use column::{first_order_s2, travel_s};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use realfft::RealFftPlanner;
@@ -74,14 +76,14 @@ struct Shot {
 /// Source: Kramer (1996), Geotechnical Earthquake Engineering, section 7.2, for the uniform column.
 pub fn passed(problem: &Problem, low_hz: f64) -> Vec<Passed> {
     let profile = &problem.array.profile;
-    let travel_s = travel_s(profile, profile.depth_m());
-    let shots = shots(problem, [low_hz, SHARE_OF_RESONANCE * 0.25 / travel_s]);
+    let whole_s = travel_s(profile, profile.depth_m());
+    let shots = shots(problem, [low_hz, SHARE_OF_RESONANCE * 0.25 / whole_s]);
     if shots.len() < FEWEST[0] {
         return Vec::new();
     }
     let of = |output: usize| {
         let depth_m = problem.array.depths_m[output];
-        let ratio = self::travel_s(profile, depth_m) / travel_s;
+        let ratio = travel_s(profile, depth_m) / whole_s;
         let a0 = first_order_s2(profile, depth_m);
         (ratio < 0.95).then(|| Comparison { shots: &shots, output, a0, ratio, reflection: IDENTITY }.judged())
     };
@@ -89,31 +91,6 @@ pub fn passed(problem: &Problem, low_hz: f64) -> Vec<Passed> {
 }
 
 const IDENTITY: [[f64; 2]; 2] = [[1.0, 0.0], [0.0, 1.0]];
-
-/// Time of a shear wave from the surface to `depth_m`, s.
-fn travel_s(profile: &Profile, depth_m: f64) -> f64 {
-    let mut top_m = 0.0;
-    let of = |layer: &crate::column::Layer| {
-        let own = (depth_m - top_m).clamp(0.0, layer.thickness_m);
-        top_m += layer.thickness_m;
-        own / layer.vs_m_s
-    };
-    profile.layers.iter().map(of).sum()
-}
-
-/// (3).
-fn first_order_s2(profile: &Profile, depth_m: f64) -> f64 {
-    let (mut top_m, mut mass, mut sum) = (0.0, 0.0, 0.0);
-    for layer in &profile.layers {
-        let (h, rho) = (layer.thickness_m, layer.density_kg_m3);
-        let above = (depth_m - top_m).clamp(0.0, h);
-        let from = mass + rho * above;
-        sum += 0.5 * (h - above) * (from + mass + rho * h) / (rho * layer.vs_m_s.powi(2));
-        mass += rho * h;
-        top_m += h;
-    }
-    TAU * TAU * sum
-}
 
 /// Events with enough bins and little noise; a component alone stands first.
 fn shots(problem: &Problem, band_hz: [f64; 2]) -> Vec<Shot> {

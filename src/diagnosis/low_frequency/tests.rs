@@ -2,7 +2,7 @@
 
 use super::super::problem::{Event, NoiseSpectrum};
 use super::*;
-use crate::column::{Features, Layer, Rayleigh, Vertical};
+use crate::column::{Features, Layer, Profile, Rayleigh, Vertical};
 use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
 use crate::manifest::Tolerances;
 use crate::numerics::{random, spectrum};
