@@ -1,12 +1,14 @@
 //! The whole diagnosis: declared model, recalibrated model, forward search, backward check, verdict.
 
 use super::anchor::Anchor;
+use super::hygiene::suspicion;
 use super::outcome::{Candidate, Diagnosis, Thresholds};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::round::{Fitted, Ground, parameters};
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
+use super::standing::{beside, decided, labels, standing, together};
 use super::unknowns::nuisances;
 use super::verdict;
 use crate::effects;
@@ -20,7 +22,7 @@ const MAX_ANCHORS: usize = 6;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
-/// Names what the declared model lacks.
+/// Names what the declared model lacks: first what stands whatever the profile, then what else there is on top of it.
 ///
 /// # Errors
 /// When an event is unusable, the column cannot be built, or a replay is impossible.
@@ -31,8 +33,36 @@ pub fn diagnose(
     thresholds: &Thresholds,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
+    let standing = decided(standing(problem, settings), problem, replay, settings)?;
+    if standing.is_empty() {
+        return diagnose_rest(problem, replay, settings, thresholds, progress);
+    }
+    for s in &standing {
+        progress.note(&format!("{} {} stands whatever the profile", s.found.kind, s.found.target));
+    }
+    let (known, beside) = beside(problem, replay, &standing);
+    let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
+    together(standing, rest, problem, replay, settings)
+}
+
+/// What the declared model and its `declared` effects lack.
+fn diagnose_rest(
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+    thresholds: &Thresholds,
+    progress: &dyn Progress,
+) -> Result<Diagnosis> {
     let mut scene = Scene::new(problem, settings)?;
     let declared = scene.declared(Some(replay), nuisances(problem)?.len())?;
+    let suspicion = suspicion(&Search::new(&scene, settings, Some(replay))?, &declared)?;
+    // Once relabelled, records cannot be suspected of the same again.
+    if let Some(labels) = suspicion.map(labels).filter(|l| l.iter().any(|l| !problem.declared.contains(&l.found.table)))
+    {
+        let (known, beside) = beside(problem, replay, &labels);
+        let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
+        return together(labels, rest, problem, replay, settings);
+    }
     let search = Search::new(&scene, settings, Some(replay))?;
     let path = search.walk(declared, thresholds, progress)?;
     verdict::assemble(&search, &path, thresholds)
