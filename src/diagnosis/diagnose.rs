@@ -119,7 +119,8 @@ impl Search<'_> {
             let fitted = self.fair_round(&mut path, number, &declared_anchor, progress)?;
             progress.advance(1);
             let Some(best) = fitted.first() else { break };
-            if best.gain <= thresholds.gain || best.validation_gain <= thresholds.validation_gain {
+            let is_kept = best.is_confirmed || self.replay.is_none();
+            if !is_kept || best.gain <= thresholds.gain || best.validation_gain <= thresholds.validation_gain {
                 break;
             }
             path.corrected = best.model.clone();

@@ -114,9 +114,10 @@ impl Search<'_> {
         for f in &mut fitted {
             f.against = [base.train.cost, base.validation_cost()];
         }
+        let near_base = fitted.clone();
         fitted.extend(declared.into_iter().map(|f| f.1));
         self.judge(&mut fitted, &base);
-        let anchor = self.confirm(&mut fitted, &base, progress)?;
+        let anchor = self.confirm(&mut fitted, near_base, &base, progress)?;
         Ok(Round { base, fitted, anchor })
     }
 
@@ -201,14 +202,42 @@ impl Search<'_> {
     }
 
     /// Replays the best, and then whatever is close behind or has become the best, and fits again from there; the anchor
-    /// of the best.
-    fn confirm(&self, fitted: &mut Vec<Fitted>, base: &Model, progress: &dyn Progress) -> Result<Option<Anchor>> {
+    /// of the best. Where none of these keeps what it promised from the declared values, those fitted `near_base` have
+    /// their turn, and only what they gain on the replayed base counts.
+    fn confirm(
+        &self,
+        fitted: &mut Vec<Fitted>,
+        near_base: Vec<Fitted>,
+        base: &Model,
+        progress: &dyn Progress,
+    ) -> Result<Option<Anchor>> {
         let mut anchors: Vec<(Instance, Anchor)> = Vec::new();
         if self.replay.is_none() {
             return Ok(None);
         }
-        while anchors.len() < self.settings.confirmed + 1 {
-            let Some(index) = self.next_to_confirm(fitted, anchors.len()) else { break };
+        self.replay_best(fitted, &mut anchors, base, progress)?;
+        if fitted.first().is_some_and(|f| f.gain > 0.0 && !f.is_confirmed) {
+            fitted.extend(near_base);
+            for f in fitted.iter_mut() {
+                f.against = [base.train.cost, base.validation_cost()];
+            }
+            self.judge(fitted, base);
+            self.replay_best(fitted, &mut anchors, base, progress)?;
+        }
+        let best = fitted.first().filter(|f| f.is_confirmed).map(|f| &f.instance);
+        Ok(anchors.into_iter().rev().find(|(instance, _)| Some(instance) == best).map(|(_, anchor)| anchor))
+    }
+
+    /// Replays the best of `fitted` and what is close behind, as many as may be.
+    fn replay_best(
+        &self,
+        fitted: &mut Vec<Fitted>,
+        anchors: &mut Vec<(Instance, Anchor)>,
+        base: &Model,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        for done in 0..=self.settings.confirmed {
+            let Some(index) = self.next_to_confirm(fitted, done) else { break };
             let f = &mut fitted[index];
             let limits = (REPLAYS, base.cost());
             let (model, anchor) = self.replayed_until_settled(f.model.clone(), None, limits, progress)?;
@@ -218,8 +247,7 @@ impl Search<'_> {
             anchors.push((f.instance.clone(), anchor));
             self.judge(fitted, base);
         }
-        let best = fitted.first().filter(|f| f.is_confirmed).map(|f| &f.instance);
-        Ok(anchors.into_iter().find(|(instance, _)| Some(instance) == best).map(|(_, anchor)| anchor))
+        Ok(())
     }
 
     /// The best if it is not confirmed, else the first of another kind that is close behind.
