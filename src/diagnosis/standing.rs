@@ -190,10 +190,13 @@ pub fn together(
         let new: Vec<String> = named.iter().filter(|kind| !rest.ambiguity.contains(kind)).cloned().collect();
         rest.ambiguity.extend(new);
     }
+    // What stands counts among the named effects: structure may remain beside them, as beside any others.
+    let is_explained = rest.explained_share.is_some_and(|share| share >= settings.known_share);
     rest.verdict = match rest.verdict {
-        Verdict::None | Verdict::Known if standing.iter().any(|s| s.alike.len() > 1) => Verdict::Ambiguous,
-        Verdict::None => Verdict::Known,
-        other => other,
+        Verdict::Unknown if !is_explained => Verdict::Unknown,
+        Verdict::Ambiguous => Verdict::Ambiguous,
+        _ if standing.iter().any(|s| s.alike.len() > 1) => Verdict::Ambiguous,
+        _ => Verdict::Known,
     };
     let tried = standing.iter().map(|s| Candidate {
         kind: s.found.kind.clone(),
