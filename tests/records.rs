@@ -304,3 +304,45 @@ fn the_raw_kiknet_event_is_read_and_agrees_with_its_stated_peaks() {
     assert_eq!((ns.dt_s, ns.n_step()), (0.01, 30_000));
     assert!((ns.input_pga_m_s2() - 0.51045).abs() < 1e-4);
 }
+
+#[test]
+fn a_truth_on_measured_records_changes_what_its_sensor_recorded_and_nothing_else() {
+    let dir = tempfile::tempdir().unwrap();
+    let wave = |t: f64, f: f64| 0.1 * (f * t).sin() * (-((t - 2.0) / 0.5).powi(2)).exp();
+    for (component, f) in [("NS", 20.0), ("EW", 31.0)] {
+        let lines: String = (0..400)
+            .map(|i| i as f64 * 0.01)
+            .map(|t| format!("{t:.2},{},{}\n", wave(t, f), 2.0 * wave(t - 0.2, f)))
+            .collect();
+        std::fs::write(dir.path().join(format!("E1.{component}.csv")), format!("time_s,borehole,surface\n{lines}"))
+            .unwrap();
+    }
+    let site = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/fksh11.toml");
+    let manifest = flare_pipe::manifest::Manifest::load(&site, &[]).unwrap();
+    let sections = manifest.site.column();
+    let altered = |truth: &str| {
+        let path = dir.path().join("truth.toml");
+        std::fs::write(&path, format!("site = 'x.toml'\nseed = 1\n{truth}")).unwrap();
+        let text = |p: &Path| Some(p.display().to_string());
+        let settings = RecordSettings { dir: text(dir.path()), truth: text(&path), ..settings(&["E1"], &["NS", "EW"]) };
+        flare_pipe::stages::measured(&settings, &sections)
+            .map(|read| read.records.into_iter().map(|(_, r)| r).collect::<Vec<Record>>())
+    };
+    let [plain, turned] = ["", "[[effects]]\nkind = 'sensor_orientation'\nsensor = 'surface'\nazimuth_deg = 90.0\n"]
+        .map(|t| altered(t).unwrap());
+    for (plain, turned) in plain.iter().zip(&turned) {
+        assert_eq!(plain.input, turned.input);
+    }
+    let surface = |records: &[Record], c: usize| records[c].outputs[0].acceleration_m_s2.clone();
+    for (one, other) in surface(&turned, 0).iter().zip(surface(&plain, 1)) {
+        assert!((one - other).abs() < 1e-3, "a quarter turn records the other component");
+    }
+    for refused in [
+        "[[effects]]\nkind = 'small_strain_damping'\nmultiplier = 2.0\n",
+        "[[event]]\nname = 'E1'\npga_g = { NS = 0.1 }\nduration_s = 10.0\n",
+    ] {
+        assert!(altered(refused).unwrap_err().to_string().contains("measured"));
+    }
+    let nowhere = "[[effects]]\nkind = 'sensor_gain'\nsensor = 'roof'\nln_gain = 0.1\n";
+    assert!(altered(nowhere).unwrap_err().to_string().contains("roof"));
+}

@@ -25,6 +25,10 @@ fn every_truth_fits_its_site() {
         let site = path.parent().unwrap().join(&truth.site);
         let manifest = sites.entry(site.clone()).or_insert_with(|| Manifest::load(&site, &[]).unwrap());
         let sections = manifest.site.column();
+        if manifest.site.records.as_ref().is_some_and(|r| r.format != "twin") {
+            truth.check_alters().unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+            continue;
+        }
         if let Err(error) = recorder(&sections, &manifest.site.tolerances, &truth) {
             panic!("{}: {error}", path.display());
         }

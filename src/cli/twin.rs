@@ -2,7 +2,8 @@
 
 use crate::error::{Context, Result};
 use crate::manifest::Manifest;
-use crate::records;
+use crate::records::{self, Record, RecordSettings};
+use crate::stages::measured;
 use crate::twin::{self, Truth};
 use crate::units::AccelerationUnit;
 use clap::Args;
@@ -19,31 +20,51 @@ pub struct TwinArguments {
     output: PathBuf,
 }
 
-/// Records every event of the truth and writes one CSV file an event and component, in m/s².
+/// Records every event of the truth, or alters every measured record of its site, and writes one CSV file an event and
+/// component, in m/s².
 ///
 /// # Errors
-/// When the truth or its site manifest is wrong, or the truth column does not finish.
+/// When the truth or its site manifest is wrong, a record is not sound, or the truth column does not finish.
 pub fn twin(arguments: &TwinArguments) -> Result<()> {
     let truth = Truth::load(&arguments.truth)?;
     let site = arguments.truth.parent().unwrap_or(std::path::Path::new(".")).join(&truth.site);
     let manifest = Manifest::load(&site, &[])?;
-    let sections = manifest.site.column();
-    let recorder = twin::recorder(&sections, &manifest.site.tolerances, &truth)?;
     std::fs::create_dir_all(&arguments.output).context(|| format!("cannot make `{}`", arguments.output.display()))?;
-    let components = manifest.site.records.as_ref().map_or_else(|| truth.components(), |r| r.components.clone());
-    let written: Vec<Vec<PathBuf>> = truth
-        .event
-        .par_iter()
-        .map(|event| {
-            let unit = AccelerationUnit::MetrePerSecondSquared;
-            twin::record_event(&recorder, &event.name, &components)?
-                .iter()
-                .map(|r| records::csv::write(&arguments.output, r, unit, &["synthetic twin record", "unit: m/s2"]))
-                .collect::<Result<_>>()
-        })
-        .collect::<Result<_>>()?;
-    for path in written.into_iter().flatten() {
+    let written = match &manifest.site.records {
+        Some(settings) if settings.format != "twin" => altered(arguments, &manifest, settings.clone())?,
+        _ => recorded(arguments, &manifest, &truth)?,
+    };
+    for path in written {
         println!("{}", path.display());
     }
     Ok(())
+}
+
+/// What the truth column's sensors record.
+fn recorded(arguments: &TwinArguments, manifest: &Manifest, truth: &Truth) -> Result<Vec<PathBuf>> {
+    let sections = manifest.site.column();
+    let recorder = twin::recorder(&sections, &manifest.site.tolerances, truth)?;
+    let components = manifest.site.records.as_ref().map_or_else(|| truth.components(), |r| r.components.clone());
+    let of_event = |event: &twin::EventSection| -> Result<Vec<PathBuf>> {
+        let records = twin::record_event(&recorder, &event.name, &components)?;
+        records.iter().map(|r| written(arguments, r, "synthetic twin record")).collect()
+    };
+    let paths: Vec<Vec<PathBuf>> = truth.event.par_iter().map(of_event).collect::<Result<_>>()?;
+    Ok(paths.concat())
+}
+
+/// What the sensors of the truth would have made of what was measured.
+fn altered(arguments: &TwinArguments, manifest: &Manifest, settings: RecordSettings) -> Result<Vec<PathBuf>> {
+    let text = |path: &PathBuf| path.display().to_string();
+    let settings = RecordSettings {
+        dir: manifest.records_dir.as_ref().map(text),
+        truth: Some(text(&arguments.truth)),
+        ..settings
+    };
+    let found = measured(&settings, &manifest.site.column())?.records;
+    found.iter().map(|(_, r)| written(arguments, r, "measured, altered by a truth")).collect()
+}
+
+fn written(arguments: &TwinArguments, record: &Record, origin: &str) -> Result<PathBuf> {
+    records::csv::write(&arguments.output, record, AccelerationUnit::MetrePerSecondSquared, &[origin, "unit: m/s2"])
 }

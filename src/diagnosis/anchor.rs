@@ -1,9 +1,7 @@
 //! Replays of the nonlinear column as the point from which the fast column extrapolates.
 
-use super::problem::Replay;
-use super::responses::{Responses, Scene};
+use super::responses::{InputSensor, RecordResponse, Responses, Scene};
 use super::spectra::SMOOTH_HZ;
-use crate::error::Result;
 use realfft::num_complex::Complex;
 
 type C64 = Complex<f64>;
@@ -27,6 +25,14 @@ const FACTOR: [f64; 2] = [0.33, 3.0];
 /// V(θ) += D · Δᵀ(θ − a) / |Δ|²                                          (2)
 /// ```
 ///
+/// Where θ says that the input sensor is not what it was at a, the second part of (1) follows the true input u,
+///
+/// ```text
+/// rest → rest · ⟨u(θ) u(a)*⟩ / ⟨|u(a)|²⟩                               (3)
+/// ```
+///
+/// or a gain or a clock that all sensors share, which no record can tell, would seem to matter.
+///
 /// Limits: (2) holds along the last step only, and no farther than its length.
 /// Check:  `a_second_anchor_knows_the_error_of_the_first_along_the_step`.
 /// Source: Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6, for (2).
@@ -49,12 +55,31 @@ pub struct RecordAnchor {
     pub rest: Vec<C64>,
     /// D of (2); empty without an anchor before.
     drift: Vec<C64>,
+    /// True input at a, and the sensor that it was taken from.
+    input: Vec<C64>,
+    seen_by: InputSensor,
 }
 
 impl RecordAnchor {
     /// The second part of (1) with (2), `amount` being its scalar product.
     pub fn rest_at(&self, index: usize, amount: f64) -> C64 {
         self.drift.get(index).map_or(self.rest[index], |d| self.rest[index] + d * amount)
+    }
+
+    /// The factor of (3) for the true `input` that the input sensor in the state `seen_by` stands for, by bin; empty where it
+    /// is one.
+    pub fn turned(&self, input: &[C64], seen_by: &InputSensor, half: usize) -> Vec<C64> {
+        if *seen_by == self.seen_by {
+            return Vec::new();
+        }
+        let n = input.len();
+        let ratio = |k: usize| {
+            let range = k.saturating_sub(half)..(k + half + 1).min(n);
+            let cross: C64 = range.clone().map(|m| input[m] * self.input[m].conj()).sum();
+            let power: f64 = range.map(|m| self.input[m].norm_sqr()).sum();
+            if power > 0.0 { cross / power } else { C64::new(1.0, 0.0) }
+        };
+        (0..n).map(ratio).collect()
     }
 }
 
@@ -65,18 +90,14 @@ impl Anchor {
         Self { records: scene.groups.iter().map(none).collect(), at: Vec::new(), direction: Vec::new() }
     }
 
-    /// Replays the events under `tables` and compares with the fast column's `responses` there.
-    ///
-    /// # Errors
-    /// When the replay is impossible.
-    pub fn replayed(
+    /// Compares `replays` at the unknowns `x` with the fast column's `responses` there.
+    pub fn of(
         scene: &Scene<'_>,
-        replay: &dyn Replay,
-        (tables, x): (&[toml::Table], &[f64]),
+        replays: &[Option<Vec<Vec<f64>>>],
+        x: &[f64],
         responses: &Responses,
         before: Option<&Self>,
-    ) -> Result<Self> {
-        let replays = replay.replay(tables)?;
+    ) -> Self {
         let mut anchor = Self { at: x.to_vec(), ..Self::fast(scene) };
         let step = before.map(|b| step(&b.at, x)).unwrap_or_default();
         for (g, group) in scene.groups.iter().enumerate() {
@@ -86,7 +107,7 @@ impl Anchor {
                     continue;
                 };
                 let nonlinear: Vec<Vec<C64>> = replayed.iter().map(|x| scene.bins(g, r, x)).collect();
-                let mut own = compare(&group.frequencies_hz, &nonlinear, &response.motion);
+                let mut own = compare(&group.frequencies_hz, &nonlinear, response);
                 if let Some((before, earlier)) = before.and_then(|b| Some((b, b.records[g][r].as_ref()?)))
                     && !step.is_empty()
                 {
@@ -102,7 +123,7 @@ impl Anchor {
             }
         }
         anchor.direction = step;
-        Ok(anchor)
+        anchor
     }
 
     /// The scalar product of (2) at `x`.
@@ -124,14 +145,20 @@ fn step(a: &[f64], b: &[f64]) -> Vec<f64> {
     a.iter().zip(b).map(|(a, b)| (b - a) / squared).collect()
 }
 
-fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], motion: &[C64]) -> RecordAnchor {
-    let (n, count) = (frequencies_hz.len(), replayed.len());
-    let step_hz = frequencies_hz[1] - frequencies_hz[0];
-    let half = (SMOOTH_HZ / step_hz).round().max(1.0) as usize;
+/// Bins to either side of a smoothed one.
+pub fn smoothing(frequencies_hz: &[f64]) -> usize {
+    (SMOOTH_HZ / (frequencies_hz[1] - frequencies_hz[0])).round().max(1.0) as usize
+}
+
+fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], response: &RecordResponse) -> RecordAnchor {
+    let (n, count, motion) = (frequencies_hz.len(), replayed.len(), &response.motion);
+    let half = smoothing(frequencies_hz);
     let mut anchor = RecordAnchor {
         factor: vec![C64::new(1.0, 0.0); n * count],
         rest: vec![C64::default(); n * count],
         drift: Vec::new(),
+        input: response.input.clone(),
+        seen_by: response.seen_by,
     };
     for (s, nonlinear) in replayed.iter().enumerate() {
         let fast: Vec<C64> = (0..n).map(|k| motion[k * count + s]).collect();
@@ -152,16 +179,28 @@ fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], motion: &[C64]) -> Rec
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::effects::Operator;
 
     #[test]
     fn a_second_anchor_knows_the_error_of_the_first_along_the_step() {
         let anchor = Anchor { records: Vec::new(), at: vec![1.0, 2.0], direction: step(&[0.0, 0.0], &[1.0, 2.0]) };
-        let record =
-            RecordAnchor { factor: Vec::new(), rest: vec![C64::new(1.0, 0.0)], drift: vec![C64::new(0.0, 2.0)] };
+        let seen_by = InputSensor { source: 0, probes: [Operator::IDENTITY; 3] };
+        let record = RecordAnchor {
+            factor: Vec::new(),
+            rest: vec![C64::new(1.0, 0.0)],
+            drift: vec![C64::new(0.0, 2.0)],
+            input: vec![C64::new(0.0, 1.0), C64::new(2.0, 0.0)],
+            seen_by,
+        };
         assert_eq!(anchor.amount(&[1.0, 2.0]), 0.0);
         assert!((anchor.amount(&[1.5, 3.0]) - 0.5).abs() < 1e-12);
         assert_eq!(anchor.amount(&[3.0, 1.0]), 0.0, "across the step nothing is known");
         assert_eq!(anchor.amount(&[9.0, 9.0]), 1.0, "no farther than the step");
         assert_eq!(record.rest_at(0, 0.5), C64::new(1.0, 1.0));
+        assert!(record.turned(&record.input, &seen_by, 1).is_empty());
+        let late = InputSensor { source: 1, ..seen_by };
+        let factor = C64::new(0.6, -0.8);
+        let input: Vec<C64> = record.input.iter().map(|u| u * factor).collect();
+        assert!(record.turned(&input, &late, 1).iter().all(|f| (f - factor).norm() < 1e-12));
     }
 }

@@ -1,6 +1,6 @@
 //! The errors-in-variables cost: residuals whitened by the noise of outputs and input as the model passes it on.
 
-use super::anchor::Anchor;
+use super::anchor::{Anchor, smoothing};
 use super::generic::Pair;
 use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
@@ -92,7 +92,15 @@ fn each_bin(
     let removed = scene.estimated_interference(effects, g);
     let mut bin = Bin::new(n_record, n_record * n_sensor);
     let all = Operators::new(scene, effects);
-    let inputs: Vec<Vec<C64>> = (0..n_record).map(|r| scene.true_input(effects, &all, g, r)).collect();
+    let seen_by = scene.input_sensor(effects, &all, g);
+    let input = |r: usize| {
+        let response = &responses.records[g][r];
+        if response.seen_by == seen_by { response.input.clone() } else { scene.true_input(effects, &all, g, r) }
+    };
+    let inputs: Vec<Vec<C64>> = (0..n_record).map(input).collect();
+    let half = smoothing(&group.frequencies_hz);
+    let turned = |r: usize| anchor.records[g][r].as_ref().map_or(Vec::new(), |a| a.turned(&inputs[r], &seen_by, half));
+    let turned: Vec<Vec<C64>> = (0..n_record).map(turned).collect();
     let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
     for (k, f) in group.frequencies_hz.iter().enumerate() {
@@ -117,7 +125,8 @@ fn each_bin(
                     let mut motion = response.transfer[at];
                     if let Some(anchor) = &anchor.records[g][q] {
                         motion *= anchor.factor[at];
-                        predicted = predicted * anchor.factor[at] + anchor.rest_at(at, amount);
+                        let rest = anchor.rest_at(at, amount);
+                        predicted = predicted * anchor.factor[at] + turned[q].get(k).map_or(rest, |f| f * rest);
                     }
                     predicted += arrival * inputs[q][k];
                     motion += arrival;

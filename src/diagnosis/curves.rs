@@ -1,22 +1,34 @@
 //! Modulus and damping of a soil point as functions of strain, whatever its law: the law itself is driven through cycles.
 
+use super::surroundings::Surroundings;
 use crate::column::{Layer, Vertical};
-use crate::soil::{Increment, Law, Point, Refusal};
+use crate::registry;
+use crate::soil::{Increment, LAWS, Law, Point, Refusal};
 use std::collections::HashMap;
 use std::f64::consts::TAU;
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, OnceLock};
 
 /// Shear-strain amplitudes at which a curve is measured.
 const AMPLITUDES: [f64; 10] = [1e-7, 1e-6, 3e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
 /// Cycles driven at each amplitude; the last one is measured.
-const CYCLES: usize = 3;
+pub(super) const CYCLES: usize = 3;
 /// Increments of a cycle.
-const STEPS: usize = 32;
+pub(super) const STEPS: usize = 32;
 /// Time of an increment, s: cycles of about 2 Hz.
-const STEP_S: f64 = 0.5 / STEPS as f64;
-/// Distance of the measured shear-wave velocities in ln; between them curves are interpolated.
-const GRID_LN: f64 = 0.15;
+pub(super) const STEP_S: f64 = 0.5 / STEPS as f64;
+/// Distances of the measured shear-wave velocities, vertical stresses and strengths in ln; between them curves are
+/// interpolated.
+const GRID_LN: [f64; 3] = [0.2, 0.4, 0.4];
+/// Distance of the measured densities in ln; the nearest one is taken.
+const DENSITY_LN: f64 = 0.05;
+/// Parameters that no cycle feels: the column makes viscous damping of them.
+const VISCOUS: [&str; 3] = ["damping_ratio", "damping_multiplier", "viscosity_s"];
+/// Largest damping ratio.
+pub(super) const MAX_DAMPING: f64 = 0.6;
+/// The parameter of a law that takes the factor of a reference strain, and its default: a search moves it in small steps.
+const STRENGTHS: [(&str, &str, f64); 3] =
+    [("hyperbolic", "gamma_ref_multiplier", 1.0), ("sanisand", "h_0", 6.0), ("cam_clay", "m", 1.2)];
 
 /// Secant modulus over the small-strain one and hysteretic damping ratio, by strain amplitude.
 ///
@@ -30,60 +42,102 @@ const GRID_LN: f64 = 0.15;
 /// Limits: the third cycle stands for all; beyond an amplitude that the law refuses, the last value holds.
 /// Check:  the tests below, against the hyperbola and Masing's damping in closed form.
 /// Source: Idriss and Sun (1992) for equivalent-linear site response.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Curve {
-    modulus: [f64; AMPLITUDES.len()],
-    damping: [f64; AMPLITUDES.len()],
+    /// Weights of measured curves; none is a material that stays linear.
+    parts: Vec<(f64, Arc<Measured>)>,
+    surroundings: Option<Surroundings>,
 }
 
 impl Curve {
     /// A material that stays linear.
-    pub const LINEAR: Self = Self { modulus: [1.0; AMPLITUDES.len()], damping: [0.0; AMPLITUDES.len()] };
+    pub const LINEAR: Self = Self { parts: Vec::new(), surroundings: None };
+
+    /// The curve of one law at one point.
+    pub fn of(law: Box<dyn Law>, point: &Point, pore_pa: f64, vertical: Vertical) -> Self {
+        Self { parts: vec![(1.0, Arc::new(Measured::new(law, point, pore_pa, vertical)))], surroundings: None }
+    }
+
+    /// The same law with something around it.
+    #[must_use]
+    pub fn surrounded(self, by: Option<Surroundings>) -> Self {
+        Self { surroundings: by, ..self }
+    }
 
     /// (G/G₀, D) at strain amplitude `gamma`, linear in ln γ.
     pub fn at(&self, gamma: f64) -> (f64, f64) {
-        let x = (gamma.max(1e-12) / AMPLITUDES[0]).ln();
-        let last = AMPLITUDES.len() - 1;
-        if x <= 0.0 {
-            return (self.modulus[0], self.damping[0]);
+        match &self.surroundings {
+            None => self.plain(gamma),
+            Some(around) => around.at(gamma, |gamma| self.plain(gamma)),
         }
-        let i = AMPLITUDES.iter().rposition(|a| gamma >= *a).unwrap_or(0);
+    }
+
+    fn plain(&self, gamma: f64) -> (f64, f64) {
+        if self.parts.is_empty() {
+            return (1.0, 0.0);
+        }
+        let last = AMPLITUDES.len() - 1;
+        let Some(i) = AMPLITUDES.iter().rposition(|a| gamma >= *a) else { return self.measured(0) };
         if i == last {
-            return (self.modulus[last], self.damping[last]);
+            return self.measured(last);
         }
         let share = (gamma / AMPLITUDES[i]).ln() / (AMPLITUDES[i + 1] / AMPLITUDES[i]).ln();
-        let mix = |v: &[f64]| v[i] + share * (v[i + 1] - v[i]);
-        (mix(&self.modulus), mix(&self.damping))
+        let ((a, c), (b, d)) = (self.measured(i), self.measured(i + 1));
+        (a + share * (b - a), c + share * (d - c))
     }
 
-    fn mixed(&self, other: &Self, share: f64) -> Self {
-        let mix = |a: [f64; AMPLITUDES.len()], b: [f64; AMPLITUDES.len()]| {
-            std::array::from_fn(|i| a[i] + share * (b[i] - a[i]))
-        };
-        Self { modulus: mix(self.modulus, other.modulus), damping: mix(self.damping, other.damping) }
+    fn measured(&self, amplitude: usize) -> (f64, f64) {
+        self.parts.iter().fold((0.0, 0.0), |(modulus, damping), (weight, part)| {
+            let (m, d) = part.at(amplitude);
+            (modulus + weight * m, damping + weight * d)
+        })
+    }
+}
+
+/// A law at one point, driven to an amplitude when that is first asked for: strong cycles are the costly ones, and few
+/// motions reach them.
+struct Measured {
+    law: Box<dyn Law>,
+    point: Point,
+    pore_pa: f64,
+    vertical: Vertical,
+    known: [OnceLock<(f64, f64)>; AMPLITUDES.len()],
+}
+
+impl Measured {
+    fn new(law: Box<dyn Law>, point: &Point, pore_pa: f64, vertical: Vertical) -> Self {
+        Self { law, point: *point, pore_pa, vertical, known: Default::default() }
     }
 
-    /// Drives `law` at `point`.
-    pub fn measured(law: &dyn Law, point: &Point, pore_pa: f64, vertical: Vertical) -> Self {
-        let mut curve = Self::LINEAR;
-        let mut start = vec![0.0; law.n_state()];
-        let Ok(elastic_pa) = law.start(point, &mut start) else { return curve };
-        for (i, amplitude) in AMPLITUDES.iter().enumerate() {
-            let mut specimen =
-                Specimen { law, pore_pa, vertical, state: start.clone(), trial: start.clone(), eps_yy: 0.0 };
-            match specimen.cycles(*amplitude, point.vertical_pa, elastic_pa[3]) {
-                Ok([re, im]) if re > 1e-4 * elastic_pa[0] => {
-                    curve.modulus[i] = re / elastic_pa[0];
-                    curve.damping[i] = (0.5 * im / re).clamp(0.0, 0.6);
-                }
-                _ if i > 0 => {
-                    curve.modulus[i] = curve.modulus[i - 1];
-                    curve.damping[i] = curve.damping[i - 1];
-                }
-                _ => {}
-            }
-        }
-        curve
+    /// (G/G₀, D) at an amplitude of the list.
+    fn at(&self, amplitude: usize) -> (f64, f64) {
+        *self.known[amplitude].get_or_init(|| match self.driven(AMPLITUDES[amplitude]) {
+            Some(found) => found,
+            None if amplitude > 0 => self.at(amplitude - 1),
+            None => (1.0, 0.0),
+        })
+    }
+
+    fn driven(&self, amplitude: f64) -> Option<(f64, f64)> {
+        let law = self.law.as_ref();
+        let mut state = vec![0.0; law.n_state()];
+        let elastic_pa = law.start(&self.point, &mut state).ok()?;
+        let (pore_pa, vertical, trial) = (self.pore_pa, self.vertical, state.clone());
+        let mut specimen = Specimen { law, pore_pa, vertical, state, trial, eps_yy: 0.0 };
+        let [re, im] = specimen.cycles(amplitude, self.point.vertical_pa, elastic_pa[3]).ok()?;
+        (re > 1e-4 * elastic_pa[0]).then(|| (re / elastic_pa[0], (0.5 * im / re).clamp(0.0, MAX_DAMPING)))
+    }
+}
+
+impl std::fmt::Debug for Measured {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Measured").field("point", &self.point).field("known", &self.known).finish_non_exhaustive()
+    }
+}
+
+impl PartialEq for Measured {
+    fn eq(&self, other: &Self) -> bool {
+        std::ptr::eq(self, other)
     }
 }
 
@@ -150,69 +204,93 @@ impl Specimen<'_> {
     }
 }
 
-/// Curves measured so far; the same question has the same answer whoever asked first.
+/// Laws at the nodes asked for so far; the same question has the same answer whoever asked first.
 #[derive(Default)]
 pub struct Curves {
-    known: Mutex<HashMap<u64, Arc<Curve>>>,
+    known: Mutex<HashMap<u64, Arc<Measured>>>,
 }
 
 impl Curves {
-    /// The curve of `law` of `layer` at `point`, interpolated between a grid of shear-wave velocities.
-    ///
-    /// `around` names what surrounds the law beside its own parameters.
-    pub fn of(
-        &self,
-        law: &dyn Law,
-        (layer, around): (&Layer, &str),
-        point: &Point,
-        pore_pa: f64,
-        vertical: Vertical,
-    ) -> Curve {
-        if layer.law_kind == "elastic" && around.is_empty() {
+    /// The curve of the law of `layer` at `point`, interpolated between laws driven at nodes of shear-wave velocity, vertical
+    /// stress and strength: a search asks for thousands of neighbouring values of these.
+    pub fn of(&self, layer: &Layer, point: &Point, pore_pa: f64, vertical: Vertical) -> Curve {
+        if layer.law_kind == "elastic" {
             return Curve::LINEAR;
         }
-        let x = point.vs_m_s.ln() / GRID_LN;
-        let [below, above] =
-            [0.0, 1.0].map(|shift| self.on_grid(law, (layer, around), point, (pore_pa, vertical), x.floor() + shift));
-        below.mixed(&above, x - x.floor())
+        let strength = STRENGTHS.iter().find(|(kind, ..)| *kind == layer.law_kind).map(|(_, key, default)| {
+            (*key, layer.law.get(*key).and_then(toml::Value::as_float).unwrap_or(*default).max(f64::MIN_POSITIVE))
+        });
+        let places = [Some(point.vs_m_s), Some(point.vertical_pa), strength.map(|s| s.1)];
+        let mut nodes = vec![(1.0, [None; 3])];
+        for (axis, place) in places.into_iter().enumerate() {
+            let Some(x) = place.map(|p| p.max(1e-9).ln() / GRID_LN[axis]) else { continue };
+            let share = x - x.floor();
+            let beside = |(weight, node): &(f64, [Option<i64>; 3])| {
+                [(1.0 - share, x.floor()), (share, x.floor() + 1.0)].map(|(w, at)| {
+                    let mut node = *node;
+                    node[axis] = Some(at as i64);
+                    (weight * w, node)
+                })
+            };
+            nodes = nodes.iter().flat_map(beside).filter(|(weight, _)| *weight > 0.0).collect();
+        }
+        let parts = nodes.into_iter().filter_map(|(weight, node)| {
+            Some((weight, self.at(layer, strength.map(|s| s.0), point, (pore_pa, vertical), node)?))
+        });
+        Curve { parts: parts.collect(), surroundings: None }
     }
 
-    fn on_grid(
+    /// The law at a node; `None` where it cannot be built.
+    fn at(
         &self,
-        law: &dyn Law,
-        (layer, around): (&Layer, &str),
+        layer: &Layer,
+        strength: Option<&str>,
         point: &Point,
         (pore_pa, vertical): (f64, Vertical),
-        node: f64,
-    ) -> Arc<Curve> {
+        node: [Option<i64>; 3],
+    ) -> Option<Arc<Measured>> {
+        let value = |axis: usize| node[axis].map(|n| (n as f64 * GRID_LN[axis]).exp());
+        let density = (point.density_kg_m3.ln() / DENSITY_LN).round();
+        let k0 = 1e-3 * (1e3 * point.horizontal_pa / point.vertical_pa).round();
         let mut hasher = DefaultHasher::new();
         layer.law_kind.hash(&mut hasher);
-        around.hash(&mut hasher);
-        hash_table(&layer.law, &mut hasher);
-        let numbers = [point.density_kg_m3, point.vertical_pa, point.horizontal_pa, pore_pa, node];
-        numbers.map(f64::to_bits).hash(&mut hasher);
+        let counts = |key: &str| Some(key) != strength && !VISCOUS.contains(&key);
+        hash_table(&layer.law, &counts, &mut hasher);
+        [density, k0, pore_pa].map(f64::to_bits).hash(&mut hasher);
+        node.hash(&mut hasher);
         (vertical == Vertical::Restrained).hash(&mut hasher);
         let key = hasher.finish();
-        if let Some(curve) = self.known.lock().ok().and_then(|known| known.get(&key).cloned()) {
-            return curve;
+        if let Some(known) = self.known.lock().ok().and_then(|known| known.get(&key).cloned()) {
+            return Some(known);
         }
-        let point = Point { vs_m_s: (node * GRID_LN).exp(), ..*point };
-        let curve = Arc::new(Curve::measured(law, &point, pore_pa, vertical));
-        if let Ok(mut known) = self.known.lock() {
-            known.insert(key, curve.clone());
+        let mut parameters = layer.law.clone();
+        VISCOUS.iter().for_each(|key| drop(parameters.remove(*key)));
+        if let (Some(key), Some(value)) = (strength, value(2)) {
+            parameters.insert(key.to_string(), value.into());
         }
-        curve
+        let law = (registry::find("soil law", LAWS, &layer.law_kind).ok()?.build)(parameters).ok()?;
+        let vertical_pa = value(1)?;
+        let point = Point {
+            vs_m_s: value(0)?,
+            vertical_pa,
+            horizontal_pa: k0 * vertical_pa,
+            density_kg_m3: (density * DENSITY_LN).exp(),
+            ..*point
+        };
+        let measured = Arc::new(Measured::new(law, &point, pore_pa, vertical));
+        Some(self.known.lock().ok()?.entry(key).or_insert(measured).clone())
     }
 }
 
-fn hash_table(table: &toml::Table, hasher: &mut DefaultHasher) {
-    for (key, value) in table {
+/// What of `table` counts.
+fn hash_table(table: &toml::Table, counts: &dyn Fn(&str) -> bool, hasher: &mut DefaultHasher) {
+    for (key, value) in table.iter().filter(|(key, _)| counts(key)) {
         key.hash(hasher);
         match value {
             toml::Value::Float(x) => x.to_bits().hash(hasher),
             toml::Value::Integer(x) => x.hash(hasher),
             toml::Value::Boolean(x) => x.hash(hasher),
-            toml::Value::Table(inner) => hash_table(inner, hasher),
+            toml::Value::Table(inner) => hash_table(inner, &|_| true, hasher),
             other => other.to_string().hash(hasher),
         }
     }
@@ -221,8 +299,7 @@ fn hash_table(table: &toml::Table, hasher: &mut DefaultHasher) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::registry;
-    use crate::soil::LAWS;
+    use crate::soil::Softening;
 
     fn law(kind: &str, table: &str) -> Box<dyn Law> {
         (registry::find("soil law", LAWS, kind).unwrap().build)(table.parse().unwrap()).unwrap()
@@ -234,7 +311,7 @@ mod tests {
     #[test]
     fn a_hyperbola_gives_its_secant_modulus_and_masing_damping() {
         let law = law("hyperbolic", "gamma_ref = 1e-3\ncurvature = 1.0\nreduce_damping = false");
-        let curve = Curve::measured(law.as_ref(), &POINT, 0.0, Vertical::Free);
+        let curve = Curve::of(law, &POINT, 0.0, Vertical::Free);
         for gamma in [1e-4, 3e-4, 1e-3, 3e-3] {
             let (modulus, damping) = curve.at(gamma);
             let x: f64 = gamma / 1e-3;
@@ -265,7 +342,7 @@ mod tests {
         let curves = Curves::default();
         let at = |vs_m_s: f64| {
             let point = Point { vs_m_s, ..POINT };
-            curves.of(law.as_ref(), (&layer, ""), &point, law.pore_stiffness_pa(), Vertical::Free).at(5e-4)
+            curves.of(&layer, &point, law.pore_stiffness_pa(), Vertical::Free).at(5e-4)
         };
         let (slow, fast) = (at(140.0), at(160.0));
         assert!(slow.0 < 0.95 && slow.1 > 0.005, "{slow:?}");
@@ -273,5 +350,29 @@ mod tests {
         let between = at(150.0);
         assert!(between.0 < slow.0 && between.0 > fast.0);
         assert_eq!(at(150.0), between);
+    }
+
+    #[test]
+    fn what_surrounds_a_law_changes_its_curve_as_driving_it_does() {
+        let plain = || law("hyperbolic", "gamma_ref = 1e-3\ncurvature = 1.0");
+        let around = |softenings: Vec<Softening>, tau_max_pa| {
+            let shear_modulus_pa = POINT.density_kg_m3 * POINT.vs_m_s * POINT.vs_m_s;
+            let (vertical_pa, rates) = (POINT.vertical_pa, Vec::new());
+            Some(Surroundings { softenings, rates, tau_max_pa, vertical_pa, shear_modulus_pa })
+        };
+        let soft = Softening { ru_at_reference: 0.5, exponent: 1.5 };
+        let scaled = crate::soil::Scaled::new(plain(), vec![Box::new(soft)]);
+        let slider = crate::soil::Slider::new(plain(), 6e3);
+        let dressed: [(Box<dyn Law>, _); 2] =
+            [(Box::new(scaled), around(vec![soft], None)), (Box::new(slider), around(Vec::new(), Some(6e3)))];
+        for (driven, surroundings) in dressed {
+            let driven = Curve::of(driven, &POINT, 0.0, Vertical::Free);
+            let quick = Curve::of(plain(), &POINT, 0.0, Vertical::Free).surrounded(surroundings);
+            for gamma in [1e-4, 3e-4, 1e-3] {
+                let ((a, c), (b, d)) = (driven.at(gamma), quick.at(gamma));
+                assert!((a / b - 1.0).abs() < 0.2, "modulus at {gamma}: {a} driven, {b}");
+                assert!((c - d).abs() < 0.06 + 0.2 * c, "damping at {gamma}: {c} driven, {d}");
+            }
+        }
     }
 }

@@ -1,12 +1,15 @@
 //! The whole diagnosis: declared model, recalibrated model, forward search, backward check, verdict.
 
 use super::anchor::Anchor;
+use super::hygiene::suspicion;
 use super::outcome::{Candidate, Diagnosis, Thresholds};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::round::{Fitted, Ground, parameters};
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
+use super::standing::{beside, decided, labels, standing, together};
+use super::unknowns::nuisances;
 use super::verdict;
 use crate::effects;
 use crate::error::Result;
@@ -19,7 +22,7 @@ const MAX_ANCHORS: usize = 6;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
-/// Names what the declared model lacks.
+/// Names what the declared model lacks: first what stands whatever the profile, then what else there is on top of it.
 ///
 /// # Errors
 /// When an event is unusable, the column cannot be built, or a replay is impossible.
@@ -30,12 +33,36 @@ pub fn diagnose(
     thresholds: &Thresholds,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
+    let standing = decided(standing(problem, settings), problem, replay, settings)?;
+    if standing.is_empty() {
+        return diagnose_rest(problem, replay, settings, thresholds, progress);
+    }
+    for s in &standing {
+        progress.note(&format!("{} {} stands whatever the profile", s.found.kind, s.found.target));
+    }
+    let (known, beside) = beside(problem, replay, &standing);
+    let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
+    together(standing, rest, problem, replay, settings)
+}
+
+/// What the declared model and its `declared` effects lack.
+fn diagnose_rest(
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+    thresholds: &Thresholds,
+    progress: &dyn Progress,
+) -> Result<Diagnosis> {
     let mut scene = Scene::new(problem, settings)?;
-    let declared = {
-        let search = Search::new(&scene, settings, Some(replay))?;
-        search.anchored(&[], &vec![0.0; search.nuisances.len()], None)?
-    };
-    scene.distrust(&declared);
+    let declared = scene.declared(Some(replay), nuisances(problem)?.len())?;
+    let suspicion = suspicion(&Search::new(&scene, settings, Some(replay))?, &declared)?;
+    // Once relabelled, records cannot be suspected of the same again.
+    if let Some(labels) = suspicion.map(labels).filter(|l| l.iter().any(|l| !problem.declared.contains(&l.found.table)))
+    {
+        let (known, beside) = beside(problem, replay, &labels);
+        let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
+        return together(labels, rest, problem, replay, settings);
+    }
     let search = Search::new(&scene, settings, Some(replay))?;
     let path = search.walk(declared, thresholds, progress)?;
     verdict::assemble(&search, &path, thresholds)
@@ -92,7 +119,8 @@ impl Search<'_> {
             let fitted = self.fair_round(&mut path, number, &declared_anchor, progress)?;
             progress.advance(1);
             let Some(best) = fitted.first() else { break };
-            if best.gain <= thresholds.gain || best.validation_gain <= thresholds.validation_gain {
+            let is_kept = best.is_confirmed || self.replay.is_none();
+            if !is_kept || best.gain <= thresholds.gain || best.validation_gain <= thresholds.validation_gain {
                 break;
             }
             path.corrected = best.model.clone();
@@ -175,27 +203,45 @@ impl Search<'_> {
         if self.replay.is_none() {
             return Ok((fitted, anchor.clone()));
         }
-        let (mut best, mut best_anchor) = (declared.clone(), anchor.clone());
-        let mut wanted = fitted;
-        for _ in 0..MAX_ANCHORS {
-            let next = self.anchored(&[], wanted.x(), Some(&best_anchor))?;
-            let seen = self.settle(&[], wanted.x(), &next, Some(&wanted), 0)?;
-            progress.note(&format!("recalibration: cost {:.0} expected, {:.0} found", wanted.cost(), seen.cost()));
-            if seen.cost() < best.cost() {
-                let is_done = seen.cost() > 0.995 * best.cost();
-                (best, best_anchor) = (seen, next);
+        let declared = Some((declared.clone(), anchor.clone()));
+        self.replayed_until_settled(fitted, declared, (MAX_ANCHORS, f64::INFINITY), progress)
+    }
+
+    /// Replays `wanted`, fits from there, and again as long as that helps, at most `most` times; gives up where the second
+    /// replay still costs more than twice what is at stake. `best` is what is known already.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn replayed_until_settled(
+        &self,
+        mut wanted: Model,
+        mut best: Option<(Model, Anchor)>,
+        (most, at_stake): (usize, f64),
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let effects = wanted.effects.clone();
+        for number in 0..most {
+            let next = self.anchored(&effects, wanted.x(), best.as_ref().map(|b| &b.1))?;
+            let seen = self.settle(&effects, wanted.x(), &next, Some(&wanted), 0)?;
+            let name = effects.last().map_or("recalibration", |e| e.kind);
+            progress.note(&format!("{name}: cost {:.0} expected, {:.0} found", wanted.cost(), seen.cost()));
+            let before = best.as_ref().map_or(f64::INFINITY, |b| b.0.cost());
+            if seen.cost() < before {
+                let is_done = seen.cost() > 0.995 * before || (number > 0 && seen.cost() > 2.0 * at_stake);
+                wanted = self.settle(&effects, seen.x(), &next, Some(&seen), STEPS[1])?;
+                best = Some((seen, next));
                 if is_done {
                     break;
                 }
-                wanted = self.settle(&[], best.x(), &best_anchor, Some(&best), STEPS[1])?;
-            } else {
+            } else if let Some((best, anchor)) = &best {
                 // The fast column promised what the nonlinear one does not keep: half the way.
                 let x: Vec<f64> = best.x().iter().zip(wanted.x()).map(|(a, b)| 0.5 * (a + b)).collect();
-                wanted = self.settle(&[], &x, &best_anchor, Some(&best), 0)?;
+                wanted = self.settle(&effects, &x, anchor, Some(best), 0)?;
             }
         }
-        let fitted = self.settle(&[], best.x(), &best_anchor, Some(&best), STEPS[1])?;
-        Ok((fitted, best_anchor))
+        let Some((best, anchor)) = best else { return Ok((wanted, Anchor::fast(self.scene))) };
+        let fitted = self.settle(&effects, best.x(), &anchor, Some(&best), STEPS[1])?;
+        Ok((fitted, anchor))
     }
 
     /// Takes out effects that later ones have made needless.

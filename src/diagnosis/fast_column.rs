@@ -1,9 +1,11 @@
 //! The column in the frequency domain, at moduli and damping compatible with its strains: what the search runs on.
 
 use super::curves::{Curve, Curves};
-use crate::column::{Analysis, Column, Features, Profile, Structure};
+use super::surroundings::Surroundings;
+use super::tuning::Tuning;
+use crate::column::{Analysis, Column, Features, Profile, Slice, Structure};
 use crate::error::Result;
-use crate::soil::Point;
+use crate::soil::{Point, Rate, Softening};
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
 
@@ -62,19 +64,27 @@ pub fn element_count(profile: &Profile, high_hz: f64) -> usize {
     (needed.fold(1.0, f64::max) as usize).clamp(profile.layers.len(), MAX_ELEMENTS.max(profile.layers.len()))
 }
 
-/// What of `features` changes the law of an element, as a name for its curve; empty for a plain column.
-fn around(features: &Features, depth_m: f64, height_m: f64) -> String {
+/// What of `features` surrounds the law of `slice`, of kind `law_kind`.
+fn surroundings(features: &Features, law_kind: &str, slice: &Slice<'_>) -> Option<Surroundings> {
     let (softenings, rates) = (&features.softenings, &features.rates);
-    let range = depth_m - 0.5 * height_m..depth_m + 0.5 * height_m;
-    let slip = features.slips.iter().filter(|s| range.contains(&s.depth_m)).map(|s| s.tau_max_pa).reduce(f64::min);
-    if softenings.is_empty() && rates.is_empty() && slip.is_none() {
-        return String::new();
-    }
-    // Which zones reach the element is part of the name.
-    let inside = |top: f64, bottom: f64| (top..bottom).contains(&depth_m);
-    let soft: Vec<_> = softenings.iter().filter(|z| inside(z.top_m, z.bottom_m)).collect();
-    let fast: Vec<_> = rates.iter().filter(|z| inside(z.top_m, z.bottom_m)).collect();
-    format!("{soft:?} {fast:?} {slip:?}")
+    let inside = |top: f64, bottom: f64| (top..bottom).contains(&slice.depth_m);
+    let range = slice.depth_m - 0.5 * slice.height_m..slice.depth_m + 0.5 * slice.height_m;
+    let softenings = softenings.iter().filter(|z| z.ru_at_reference > 0.0 && inside(z.top_m, z.bottom_m));
+    let rates = rates.iter().filter(|z| {
+        z.per_log_cycle > 0.0 && inside(z.top_m, z.bottom_m) && z.law_kind.as_deref().is_none_or(|k| k == law_kind)
+    });
+    let slips = features.slips.iter().filter(|s| range.contains(&s.depth_m));
+    let found = Surroundings {
+        softenings: softenings
+            .map(|z| Softening { ru_at_reference: z.ru_at_reference, exponent: z.exponent })
+            .collect(),
+        rates: rates.map(|z| Rate { per_log_cycle: z.per_log_cycle }).collect(),
+        tau_max_pa: slips.map(|s| s.tau_max_pa).reduce(f64::min),
+        vertical_pa: slice.vertical_pa,
+        shear_modulus_pa: slice.shear_modulus_pa,
+    };
+    let is_plain = found.softenings.is_empty() && found.rates.is_empty() && found.tau_max_pa.is_none();
+    (!is_plain).then_some(found)
 }
 
 impl FastColumn {
@@ -87,7 +97,7 @@ impl FastColumn {
         let column = Column::new(&coarse, &Analysis::default())?;
         let mut out = Vec::with_capacity(coarse.elements);
         let (mut layer, mut top_m) = (0, 0.0);
-        let mut latest: Option<(usize, usize, String, Curve)> = None;
+        let mut latest: Option<(usize, usize, Curve)> = None;
         for slice in column.slices() {
             while layer + 1 < coarse.layers.len() && slice.depth_m > top_m + coarse.layers[layer].thickness_m {
                 top_m += coarse.layers[layer].thickness_m;
@@ -96,9 +106,8 @@ impl FastColumn {
             let declared = &coarse.layers[layer];
             let places = ((declared.thickness_m / (0.04 * coarse.depth_m())) as usize).clamp(1, PLACES);
             let place = ((slice.depth_m - top_m) / declared.thickness_m * places as f64) as usize;
-            let around = around(&coarse.features, slice.depth_m, slice.height_m);
             let curve = match &latest {
-                Some((l, p, a, curve)) if (*l, *p) == (layer, place) && *a == around => *curve,
+                Some((l, p, curve)) if (*l, *p) == (layer, place) => curve.clone(),
                 _ => {
                     let point = Point {
                         depth_m: slice.depth_m,
@@ -107,10 +116,11 @@ impl FastColumn {
                         vertical_pa: slice.vertical_pa,
                         horizontal_pa: declared.k0 * slice.vertical_pa,
                     };
-                    curves.of(slice.law, (declared, &around), &point, slice.pore_pa, coarse.vertical)
+                    curves.of(declared, &point, slice.pore_pa, coarse.vertical)
                 }
             };
-            latest = Some((layer, place, around, curve));
+            latest = Some((layer, place, curve.clone()));
+            let curve = curve.surrounded(surroundings(&coarse.features, &declared.law_kind, &slice));
             out.push(Element {
                 height_m: slice.height_m,
                 depth_m: slice.depth_m,
@@ -140,8 +150,8 @@ impl FastColumn {
         self.elements.iter().map(|e| e.depth_m / self.depth_m)
     }
 
-    /// Marches the column on `grid` with effective strains `gamma`, one an element.
-    pub fn march(&self, grid: Grid, gamma: &[f64], depths_m: &[f64]) -> March {
+    /// Marches the column on `grid` with effective strains `gamma`, one an element, its soil tuned.
+    pub fn march(&self, grid: Grid, gamma: &[f64], depths_m: &[f64], tuning: &Tuning) -> March {
         let n = grid.count;
         let omega: Vec<f64> = (0..n).map(|k| TAU * grid.frequency(k)).collect();
         let is_compliant = self.mass.len() > self.elements.len();
@@ -177,7 +187,8 @@ impl FastColumn {
             }
             let (Some(element), Some(gamma)) = (self.elements.get(i), gamma.get(i)) else { break };
             let (ratio, damping) = element.curve.at(*gamma);
-            let modulus = element.shear_modulus_pa * ratio;
+            let (factor, added) = tuning.at(element.depth_m / self.depth_m);
+            let (modulus, damping) = (element.shear_modulus_pa * ratio * factor, (damping + added).max(0.0));
             let stiffness =
                 [modulus + element.container_pa, 2.0 * damping * modulus, element.beta_s * element.shear_modulus_pa];
             let node = [self.mass[i], self.damping[i]];

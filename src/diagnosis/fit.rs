@@ -9,9 +9,6 @@ use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rayon::prelude::*;
 
-/// Most strain iterations of a new point, of a step of the fit, and of a finite difference.
-pub(super) const ITERATIONS: [usize; 3] = [30, 15, 2];
-
 /// A point in the space of unknowns and all that was computed there.
 #[derive(Clone)]
 pub struct Point {
@@ -41,9 +38,9 @@ impl Fitter<'_> {
     ///
     /// # Errors
     /// When the edited column cannot be built.
-    pub fn at(&self, unknowns: &Unknowns<'_>, x: &[f64], near: Option<&Responses>, iterations: usize) -> Result<Point> {
+    pub fn at(&self, unknowns: &Unknowns<'_>, x: &[f64], near: Option<&Responses>) -> Result<Point> {
         let effects = unknowns.build(&self.scene.problem.declared, x)?;
-        let responses = self.scene.responses(&effects, self.groups, near, iterations)?;
+        let responses = self.scene.responses(&effects, self.groups, near)?;
         let residual = whitened(self.scene, &effects, &responses, (self.anchor, self.anchor.amount(x)), self.groups);
         let prior: f64 = x[..unknowns.nuisances.len()].iter().map(|n| n * n).sum();
         let mut cost = residual.iter().map(|r| r * r).sum::<f64>() + prior;
@@ -65,7 +62,6 @@ impl Fitter<'_> {
     /// ∂ρ/∂x at `point` for the unknowns in `which`, column by column.
     pub fn jacobian(&self, unknowns: &Unknowns<'_>, point: &Point, which: &[usize]) -> Mat<f64> {
         let steps = unknowns.steps();
-        let drifted = self.drifted(unknowns, point);
         let columns: Vec<Vec<f64>> = which
             .par_iter()
             .map(|&i| {
@@ -77,22 +73,15 @@ impl Fitter<'_> {
                     if step.abs() < 0.5 * steps[i] {
                         continue;
                     }
-                    let Ok(moved) = self.at(unknowns, &x, Some(&point.responses), ITERATIONS[2]) else { continue };
+                    let Ok(moved) = self.at(unknowns, &x, Some(&point.responses)) else { continue };
                     if moved.cost.is_finite() {
-                        return difference(&moved, point, &drifted, step);
+                        return difference(&moved, point, step);
                     }
                 }
                 vec![0.0; point.residual.len()]
             })
             .collect();
         Mat::from_fn(point.residual.len(), which.len(), |i, j| columns[j][i])
-    }
-
-    /// Residuals of `point` after the strain iterations of a finite difference: its strains may not have quite converged, and
-    /// what they still move must not be taken for a derivative.
-    pub fn drifted(&self, unknowns: &Unknowns<'_>, point: &Point) -> Vec<f64> {
-        let again = self.at(unknowns, &point.x, Some(&point.responses.strains_only()), ITERATIONS[2]);
-        again.map_or_else(|_| point.residual.clone(), |p| p.residual)
     }
 
     /// Minimises the cost from `start`, at most `steps` accepted steps.
@@ -111,7 +100,7 @@ impl Fitter<'_> {
                 let Some(step) = damped_step(&normal, &gradient, lambda) else { break };
                 let mut x: Vec<f64> = point.x.iter().zip(&step).map(|(x, d)| x + d).collect();
                 unknowns.clip(&mut x);
-                let trial = self.at(unknowns, &x, Some(&point.responses), ITERATIONS[1]);
+                let trial = self.at(unknowns, &x, Some(&point.responses));
                 if let Ok(trial) = trial
                     && trial.cost < point.cost
                 {
@@ -147,10 +136,9 @@ impl Fitter<'_> {
     }
 }
 
-/// Derivative of the residuals from `point` (or its `drifted` residuals, where the columns changed) to `moved`.
-pub(super) fn difference(moved: &Point, point: &Point, drifted: &[f64], step: f64) -> Vec<f64> {
-    let from = if moved.responses.shares_columns(&point.responses) { &point.residual } else { drifted };
-    moved.residual.iter().zip(from).map(|(a, b)| (a - b) / step).collect()
+/// Derivative of the residuals from `point` to `moved`.
+pub(super) fn difference(moved: &Point, point: &Point, step: f64) -> Vec<f64> {
+    moved.residual.iter().zip(&point.residual).map(|(a, b)| (a - b) / step).collect()
 }
 
 /// JᵀJ + P and −(Jᵀρ + P x), P the prior precision of the nuisances.

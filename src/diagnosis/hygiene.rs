@@ -1,6 +1,11 @@
 //! Signs and labels of the channels, judged before anything continuous: which assignment of records to predictions fits?
 
+use super::anchor::Anchor;
+use super::cost::pairs;
+use super::generic::Pair;
+use super::search::Search;
 use crate::effects::Array;
+use crate::error::Result;
 use realfft::num_complex::Complex;
 use toml::{Table, Value};
 
@@ -69,6 +74,28 @@ pub fn hygiene(array: &Array, shots: &[Shot]) -> Option<Suspicion> {
     let is_clear = before.iter().zip(&after).all(|(b, a)| *a < CLEARLY * b);
     (assigned != declared && is_clear)
         .then(|| Suspicion { tables: tables(array, &assigned, n_component), misfit: [mean(&before), mean(&after)] })
+}
+
+/// Tries the labels of `search`'s records against the model as declared, settled against `anchor`; events that lack a component
+/// do not count.
+///
+/// # Errors
+/// When the declared model cannot be evaluated.
+pub(super) fn suspicion(search: &Search<'_>, anchor: &Anchor) -> Result<Option<Suspicion>> {
+    let (scene, array) = (search.scene, &search.scene.problem.array);
+    let declared = search.settle(&[], &vec![0.0; search.nuisances.len()], anchor, None, 0)?;
+    let effects = search.unknowns(&[]).build(&scene.problem.declared, declared.x())?;
+    let mut shots = Vec::new();
+    for (groups, point) in [(&search.train, &declared.train), (&search.validation, &declared.validation)] {
+        for g in groups.iter().filter(|g| scene.groups[**g].records.len() == array.components.len()) {
+            let rows = pairs(scene, &effects, &point.responses, (anchor, 0.0), *g);
+            let of = |choose: fn(&Pair) -> &Vec<C64>| -> Vec<Vec<Vec<C64>>> {
+                (0..array.outputs.len()).map(|s| rows.iter().map(|row| choose(&row[s]).clone()).collect()).collect()
+            };
+            shots.push(Shot { predicted: of(|p| &p.predicted), measured: of(|p| &p.measured) });
+        }
+    }
+    Ok(hygiene(array, &shots))
 }
 
 fn mean(x: &[f64]) -> f64 {

@@ -2,7 +2,7 @@
 
 use super::anchor::Anchor;
 use super::outcome::Thresholds;
-use super::problem::Problem;
+use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::round::Ground;
 use super::search::Search;
@@ -19,7 +19,7 @@ use rayon::prelude::*;
 /// Effects fitted in a null twin: the search there starts from the truth's neighbourhood and needs fewer.
 const FINALISTS: usize = 3;
 /// Steps of a null twin's recalibration.
-const STEPS: usize = 6;
+const STEPS: usize = 15;
 /// Distance from the declared value that no null twin excuses, in prior standard deviations.
 const LEAST_DEVIATIONS: f64 = 3.0;
 
@@ -27,18 +27,27 @@ const LEAST_DEVIATIONS: f64 = 3.0;
 /// from the declared model within the tolerances only. The most favourable effect of the whole catalogue is in the
 /// statistic, so the number of effects tried is accounted for.
 ///
-/// Limits: twins come from the fast column, so what the nonlinear column adds is in them as `model_error` alone.
+/// Twins come from the fast column. What the nonlinear column does beyond it at the declared values is replayed once: it is
+/// distrusted here as in a diagnosis, and a random share of it is an error of every twin.
+///
+/// Limits: a twin is recalibrated against the fast column that made it, up to that error.
 /// Check:  `tests/diagnosis.rs`: fresh null twins stay below.
 ///
 /// # Errors
 /// When no twin can be computed.
-pub fn thresholds(problem: &Problem, settings: &DiagnoseSettings, progress: &dyn Progress) -> Result<Thresholds> {
-    let scene = Scene::new(problem, settings)?;
+pub fn thresholds(
+    problem: &Problem,
+    replay: Option<&dyn Replay>,
+    settings: &DiagnoseSettings,
+    progress: &dyn Progress,
+) -> Result<Thresholds> {
+    let mut scene = Scene::new(problem, settings)?;
+    let declared = scene.declared(replay, nuisances(problem)?.len())?;
     progress.start("null twins", settings.null_twins as u64);
     let outcomes: Vec<Option<Null>> = (0..settings.null_twins)
         .into_par_iter()
         .map(|index| {
-            let null = null(&scene, settings, random_seed(settings.seed, index));
+            let null = null(&scene, &declared, settings, random_seed(settings.seed, index));
             progress.advance(1);
             null.ok()
         })
@@ -73,12 +82,13 @@ struct Null {
     deviations: f64,
 }
 
-fn null(scene: &Scene<'_>, settings: &DiagnoseSettings, seed: u64) -> Result<Null> {
+fn null(scene: &Scene<'_>, declared: &Anchor, settings: &DiagnoseSettings, seed: u64) -> Result<Null> {
     let nuisances = nuisances(scene.problem)?;
     let truth = effects::build_all(&drawn(&nuisances, seed))?;
-    let disturbance = Disturbance { seed: Some(seed), model_error: settings.model_error };
+    let disturbance = Disturbance { seed: Some(seed), model_error: settings.model_error, beyond: Some(declared) };
     let problem = scene.simulated(&truth, disturbance)?;
-    let twin = scene.sharing(&problem, settings)?;
+    let mut twin = scene.sharing(&problem, settings)?;
+    twin.distrust(declared);
     let few = DiagnoseSettings { finalists: FINALISTS, ..settings.clone() };
     let search = Search::new(&twin, &few, None)?;
     let anchor = Anchor::fast(&twin);

@@ -47,6 +47,10 @@ pub struct Found {
     pub gain: f64,
     /// Fall of the cost on the validation events alone.
     pub validation_gain: f64,
+    /// Whether it holds whatever the profile: found at the frequencies that every column passes alike, its gain the squared
+    /// distance from what is declared in standard deviations.
+    #[serde(default)]
+    pub is_standing: bool,
 }
 
 /// An effect that was tried.

@@ -74,14 +74,14 @@ pub struct Power {
 /// When the declared column cannot be built or an event is unusable.
 pub fn power(problem: &Problem, settings: &DiagnoseSettings, thresholds: Option<&Thresholds>) -> Result<Power> {
     let recorded = Scene::new(problem, settings)?;
-    let quiet = recorded.simulated(&[], Disturbance { seed: None, model_error: 0.0 })?;
+    let quiet = recorded.simulated(&[], Disturbance { seed: None, model_error: 0.0, beyond: None })?;
     let scene = recorded.sharing(&quiet, settings)?;
     let search = Search::new(&scene, settings, None)?;
     let anchor = Anchor::fast(&scene);
     let fitter = search.fitter(&anchor);
     let unknowns = search.unknowns(&[]);
     let zero = vec![0.0; search.nuisances.len()];
-    let point = fitter.at(&unknowns, &zero, None, super::fit::ITERATIONS[0])?;
+    let point = fitter.at(&unknowns, &zero, None)?;
     let marginal = Marginal::new(&fitter, &unknowns, &point);
     let seen = Seen { fitter: &fitter, unknowns: &unknowns, point: &point, marginal: &marginal };
     let alarm = search.charge() + thresholds.map_or(0.0, |t| t.gain);

@@ -1,14 +1,15 @@
 //! Columns under effects: one linear-equivalent column for each situation, responses of every record at its bins.
 
-use super::anchor::Anchor;
+use super::anchor::{Anchor, smoothing};
 use super::curves::Curves;
 use super::fast_column::{FastColumn, Grid, March, element_count};
 use super::operators::Operators;
 use super::problem::Problem;
 use super::settings::DiagnoseSettings;
 use super::spectra::{self, Group};
+use super::tuning::Tuning;
 use crate::column::Profile;
-use crate::effects::{self, Effect, Situation};
+use crate::effects::{self, Effect, Operator, Situation};
 use crate::error::Result;
 use crate::records::Split;
 use rayon::prelude::*;
@@ -21,9 +22,12 @@ type C64 = Complex<f64>;
 /// Effective strain over the largest strain.
 const EFFECTIVE: f64 = 0.7;
 /// Error of an extrapolation as a share of what the fast column misses at its anchor.
-const DISTRUST: f64 = 0.3;
-/// Relative change of every strain at which an iteration ends.
-const CONVERGED: f64 = 1e-4;
+pub(super) const DISTRUST: f64 = 0.3;
+/// Most iterations of the strains of the declared column, the share of a step that each takes in ln, and the relative change
+/// of every strain at which they end.
+const GROUND: (usize, f64, f64) = (40, 0.5, 1e-4);
+/// Iterations from there for columns with effects, and their share: a fixed number, so that costs are smooth.
+const FROM_GROUND: (usize, f64) = (2, 0.8);
 /// Strain with which an iteration starts.
 const START_STRAIN: f64 = 1e-5;
 
@@ -36,6 +40,10 @@ pub struct Scene<'a> {
     curves: Arc<Curves>,
     elements: usize,
     band_hz: [f64; 2],
+    /// Effective strains of the declared column by group and record: where every iteration starts.
+    ground: Arc<Vec<Vec<Vec<f64>>>>,
+    /// By group and record.
+    tuning: Arc<Vec<Vec<Tuning>>>,
 }
 
 /// Responses of the columns of all records.
@@ -43,6 +51,13 @@ pub struct Scene<'a> {
 pub struct Responses {
     /// By group and record.
     pub records: Vec<Vec<Arc<RecordResponse>>>,
+}
+
+/// The state of the input sensor as seen at three frequencies, and the channel that its motion is on.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InputSensor {
+    pub(super) source: usize,
+    pub(super) probes: [Operator; 3],
 }
 
 /// Response of one record's column.
@@ -56,6 +71,10 @@ pub struct RecordResponse {
     pub transfer: Vec<C64>,
     /// True base motion, by bin.
     pub input: Vec<C64>,
+    /// The same at the convolver's frequencies.
+    padded: Vec<C64>,
+    /// What the input sensor made of it.
+    pub seen_by: InputSensor,
     /// Motion of each output sensor's place under `input`, cut and tapered as the record is, `[bin][sensor]`.
     pub motion: Vec<C64>,
 }
@@ -66,22 +85,96 @@ impl<'a> Scene<'a> {
     /// # Errors
     /// When an event is unusable.
     pub fn new(problem: &'a Problem, settings: &DiagnoseSettings) -> Result<Self> {
-        Self::with(problem, settings, Arc::default())
+        let groups = spectra::groups(problem, settings)?;
+        let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
+        let tuning = groups.iter().map(|g| vec![Tuning::default(); g.records.len()]).collect();
+        let mut scene = Self {
+            problem,
+            groups,
+            curves: Arc::default(),
+            elements: element_count(&problem.array.profile, high_hz),
+            band_hz: [settings.band_hz[0], high_hz],
+            ground: Arc::default(),
+            tuning: Arc::new(tuning),
+        };
+        scene.ground = Arc::new(scene.ground_strains()?);
+        Ok(scene)
     }
 
-    /// Prepares another problem of the same array, sharing the curves measured so far.
+    /// Prepares another problem of the same array and base motions, sharing curves, strains and tuning.
     ///
     /// # Errors
     /// When an event is unusable.
     pub fn sharing<'b>(&self, problem: &'b Problem, settings: &DiagnoseSettings) -> Result<Scene<'b>> {
-        Scene::with(problem, settings, self.curves.clone())
+        Ok(Scene {
+            problem,
+            groups: spectra::groups(problem, settings)?,
+            curves: self.curves.clone(),
+            ground: self.ground.clone(),
+            tuning: self.tuning.clone(),
+            ..*self
+        })
     }
 
-    fn with(problem: &'a Problem, settings: &DiagnoseSettings, curves: Arc<Curves>) -> Result<Self> {
-        let groups = spectra::groups(problem, settings)?;
-        let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
-        let elements = element_count(&problem.array.profile, high_hz);
-        Ok(Self { problem, groups, curves, elements, band_hz: [settings.band_hz[0], high_hz] })
+    /// Tunes the fast column of each record.
+    pub(super) fn set_tuning(&mut self, tuning: Vec<Vec<Tuning>>) {
+        self.tuning = Arc::new(tuning);
+    }
+
+    /// Strains of the column as declared, compatible with its moduli and damping.
+    fn ground_strains(&self) -> Result<Vec<Vec<Vec<f64>>>> {
+        let effects = effects::build_all(&self.problem.declared)?;
+        let operators = Operators::new(self, &effects);
+        let records: Vec<[usize; 2]> = self.record_indices().collect();
+        let strains: Vec<Vec<f64>> = records
+            .par_iter()
+            .map(|&[g, r]| {
+                let profile = self.profile(&effects, &self.problem.events[self.groups[g].records[r].event].situation);
+                let column = FastColumn::new(&profile, self.elements, &self.curves)?;
+                let grid = Grid::around(self.band_hz[0], self.band_hz[1], column.grid_step_hz());
+                let input = self.true_input(&effects, &operators, g, r);
+                let start = vec![START_STRAIN; column.n_element()];
+                let (iterations, share, enough) = GROUND;
+                let column = (&column, grid, Tuning::default());
+                Ok(self.compatible([g, r], column, &input, start, (iterations, share, enough)))
+            })
+            .collect::<Result<_>>()?;
+        let mut all = vec![Vec::new(); self.groups.len()];
+        records.iter().zip(strains).for_each(|([g, _], strain)| all[*g].push(strain));
+        Ok(all)
+    }
+
+    /// Group and index of every record.
+    pub(super) fn record_indices(&self) -> impl Iterator<Item = [usize; 2]> {
+        self.groups.iter().enumerate().flat_map(|(g, group)| (0..group.records.len()).map(move |r| [g, r]))
+    }
+
+    /// Strains after some iterations from `gamma`: γ ← γ (F(γ)/γ)^share, F the effective strains of the column with γ.
+    fn compatible(
+        &self,
+        [g, r]: [usize; 2],
+        (column, grid, tuning): (&FastColumn, Grid, Tuning),
+        input: &[C64],
+        mut gamma: Vec<f64>,
+        (iterations, share, enough): (usize, f64, f64),
+    ) -> Vec<f64> {
+        let (group, record) = (&self.groups[g], &self.groups[g].records[r]);
+        let bins = group.frequencies_hz.iter().zip(input);
+        let displacement: Vec<C64> = bins.map(|(f, a)| a / -(TAU * f).powi(2)).collect();
+        let to_effective = EFFECTIVE * record.peak_factor * 2.0f64.sqrt() / record.window.len() as f64;
+        for _ in 0..iterations {
+            let norm = column.march(grid, &gamma, &[], &tuning).strain_norm(&group.frequencies_hz, &displacement);
+            let mut moved: f64 = 0.0;
+            for (gamma, norm) in gamma.iter_mut().zip(norm) {
+                let step = (to_effective * norm).max(1e-9) / *gamma;
+                moved = moved.max((step - 1.0).abs());
+                *gamma *= step.powf(share);
+            }
+            if moved < enough {
+                break;
+            }
+        }
+        gamma
     }
 
     /// Spectrum of a history as record `r` of group `g` is seen: its window, its taper, its bins.
@@ -94,8 +187,7 @@ impl<'a> Scene<'a> {
     /// it cannot follow do not lead the search.
     pub fn distrust(&mut self, anchor: &Anchor) {
         for (group, anchors) in self.groups.iter_mut().zip(&anchor.records) {
-            let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
-            let half = (spectra::SMOOTH_HZ / step_hz).round().max(1.0) as usize;
+            let half = smoothing(&group.frequencies_hz);
             for (record, anchor) in group.records.iter_mut().zip(anchors) {
                 let Some(anchor) = anchor else { continue };
                 let count = record.noise.len() - 1;
@@ -118,8 +210,7 @@ impl<'a> Scene<'a> {
         groups.iter().map(|g| self.groups[*g].n_residual()).sum()
     }
 
-    /// Responses under `effects` for `groups` (others are left empty), strains iterated `iterations` times from those of
-    /// `near`. What is bit-identical to `near` is taken from there.
+    /// Responses under `effects` for `groups` (others are left empty). What is bit-identical to `near` is taken from there.
     ///
     /// # Errors
     /// When an edited column cannot be built.
@@ -128,7 +219,6 @@ impl<'a> Scene<'a> {
         effects: &[Box<dyn Effect>],
         groups: &[usize],
         near: Option<&Responses>,
-        iterations: usize,
     ) -> Result<Responses> {
         let array = &self.problem.array;
         let depths_m: Vec<f64> = array
@@ -167,8 +257,14 @@ impl<'a> Scene<'a> {
                 {
                     return near.clone();
                 }
-                let strain = near.map(|n| n.strain.as_slice());
-                Arc::new(self.respond((effects, &operators), [g, r], &columns[index], &depths_m, (strain, iterations)))
+                let near = near.map(AsRef::as_ref);
+                Arc::new(self.respond(
+                    (effects, &operators),
+                    [g, r],
+                    &columns[index],
+                    &depths_m,
+                    (near, self.tuning[g][r]),
+                ))
             })
             .collect();
         let mut records = vec![Vec::new(); self.groups.len()];
@@ -192,68 +288,80 @@ impl<'a> Scene<'a> {
         [g, r]: [usize; 2],
         (profile, column): &(Arc<Profile>, Arc<FastColumn>),
         depths_m: &[f64],
-        (strain, iterations): (Option<&[f64]>, usize),
+        (near, tuning): (Option<&RecordResponse>, Tuning),
     ) -> RecordResponse {
         let group = &self.groups[g];
-        let record = &group.records[r];
         let grid = Grid::around(self.band_hz[0], self.band_hz[1], column.grid_step_hz());
-        let input = self.true_input(effects, operators, g, r);
-        let displacement: Vec<C64> =
-            group.frequencies_hz.iter().zip(&input).map(|(f, a)| a / -(TAU * f).powi(2)).collect();
-        let n = record.window.len() as f64;
-        let to_effective = EFFECTIVE * record.peak_factor * 2.0f64.sqrt() / n;
-        let mut gamma = match strain {
-            Some(known) if known.len() == column.n_element() => known.to_vec(),
-            Some(known) => column
-                .relative_depths()
-                .map(|x| known[((x * known.len() as f64) as usize).min(known.len() - 1)])
-                .collect(),
-            None => vec![START_STRAIN; column.n_element()],
+        let seen_by = self.input_sensor(effects, operators, g);
+        let (input, padded) = match near.filter(|n| n.seen_by == seen_by) {
+            Some(near) => (near.input.clone(), near.padded.clone()),
+            None => (self.true_input(effects, operators, g, r), self.padded_input(effects, operators, g, r)),
         };
-        let mut march = column.march(grid, &gamma, depths_m);
-        for _ in 0..iterations {
-            let norm = march.strain_norm(&group.frequencies_hz, &displacement);
-            let mut moved: f64 = 0.0;
-            for (gamma, norm) in gamma.iter_mut().zip(norm) {
-                let next = (to_effective * norm).max(1e-9);
-                moved = moved.max((next / *gamma - 1.0).abs());
-                *gamma = next;
-            }
-            march = column.march(grid, &gamma, depths_m);
-            if moved < CONVERGED {
-                break;
-            }
-        }
+        let known = &self.ground[g][r];
+        let at = |x: f64| known[((x * known.len() as f64) as usize).min(known.len() - 1)];
+        let start =
+            if known.len() == column.n_element() { known.clone() } else { column.relative_depths().map(at).collect() };
+        let (iterations, share) = FROM_GROUND;
+        let strain = self.compatible([g, r], (column, grid, tuning), &input, start, (iterations, share, 0.0));
+        let march = column.march(grid, &strain, depths_m, &tuning);
         let mut transfer = vec![C64::default(); group.frequencies_hz.len() * depths_m.len()];
         for (f, out) in group.frequencies_hz.iter().zip(transfer.chunks_exact_mut(depths_m.len())) {
             march.response(*f, out);
         }
-        let padded = self.padded_input(effects, operators, g, r);
-        let histories = self.histories(g, &march, &padded, depths_m.len());
-        let motion = interleaved(histories.iter().map(|h| self.windowed(g, h)).collect());
+        let (first, count) = self.first_and_count(g);
+        let bins = self.motion_bins(g, &march, &padded, depths_m.len());
+        let cut = |bins: Vec<C64>| group.convolver.cut(bins.into_iter(), first, count);
+        let motion = interleaved(bins.into_iter().map(cut).collect());
         RecordResponse {
             profile: profile.clone(),
             column: column.clone(),
             depths_m: depths_m.to_vec(),
-            strain: gamma,
+            strain,
             transfer,
             input,
+            padded,
+            seen_by,
             motion,
         }
     }
 
-    /// Motions of the output sensors' places under `input` (at the convolver's frequencies) as histories of the record's window.
-    fn histories(&self, g: usize, march: &March, input: &[C64], count: usize) -> Vec<Vec<f64>> {
-        let convolver = &self.groups[g].convolver;
+    /// Motion at the output sensors of record `r` of group `g`, tuned otherwise: `[bin][sensor]`.
+    pub(super) fn motion_with(
+        &self,
+        effects: &[Box<dyn Effect>],
+        [g, r]: [usize; 2],
+        tuning: Tuning,
+    ) -> Result<Vec<C64>> {
+        let array = &self.problem.array;
+        let profile = self.profile(effects, &self.problem.events[self.groups[g].records[r].event].situation);
+        let column = Arc::new(FastColumn::new(&profile, self.elements, &self.curves)?);
+        let bottom_m = array.profile.depth_m();
+        let sensors = array.outputs.iter().zip(&array.depths_m);
+        let depths_m: Vec<f64> = sensors.map(|(name, z)| effects::depth_m(effects, name, *z, bottom_m)).collect();
+        let operators = Operators::new(self, effects);
+        let column = (Arc::new(profile), column);
+        Ok(self.respond((effects, &operators), [g, r], &column, &depths_m, (None, tuning)).motion)
+    }
+
+    /// Motions of the output sensors' places under `input`, both at the convolver's frequencies.
+    fn motion_bins(&self, g: usize, march: &March, input: &[C64], count: usize) -> Vec<Vec<C64>> {
         let mut bins = vec![vec![C64::default(); input.len()]; count];
         let mut at = vec![C64::default(); count];
-        for (k, (f, input)) in convolver.frequencies_hz.iter().zip(input).enumerate() {
+        for (k, (f, input)) in self.groups[g].convolver.frequencies_hz.iter().zip(input).enumerate() {
             march.response(*f, &mut at);
             for (bins, at) in bins.iter_mut().zip(&at) {
                 bins[k] = at * input;
             }
         }
-        bins.into_iter().map(|bins| convolver.history(bins.into_iter())).collect()
+        bins
+    }
+
+    /// What tells one state of the input sensor from another in group `g`.
+    pub(super) fn input_sensor(&self, effects: &[Box<dyn Effect>], operators: &Operators<'_>, g: usize) -> InputSensor {
+        let frequencies_hz = &self.groups[g].frequencies_hz;
+        let n = frequencies_hz.len();
+        let probes = [0, n / 3, n - 1].map(|k| operators.at(0, frequencies_hz[k]));
+        InputSensor { source: self.source(effects, 0), probes }
     }
 
     /// Motions of the output sensors' places of record `r` of group `g`, not tapered.
@@ -265,17 +373,22 @@ impl<'a> Scene<'a> {
     ) -> Vec<Vec<f64>> {
         let response = &responses.records[g][r];
         let grid = Grid::around(self.band_hz[0], self.band_hz[1], response.column.grid_step_hz());
-        let march = response.column.march(grid, &response.strain, &response.depths_m);
+        let march = response.column.march(grid, &response.strain, &response.depths_m, &self.tuning[g][r]);
         let input = self.padded_input(effects, &Operators::new(self, effects), g, r);
-        self.histories(g, &march, &input, response.depths_m.len())
+        let bins = self.motion_bins(g, &march, &input, response.depths_m.len());
+        bins.into_iter().map(|bins| self.groups[g].convolver.history(bins.into_iter())).collect()
+    }
+
+    fn first_and_count(&self, g: usize) -> (usize, usize) {
+        let frequencies_hz = &self.groups[g].frequencies_hz;
+        let step_hz = frequencies_hz[1] - frequencies_hz[0];
+        ((frequencies_hz[0] / step_hz).round() as usize, frequencies_hz.len())
     }
 
     /// Tapered spectrum of a history that has the window's length.
     pub(super) fn windowed(&self, g: usize, history: &[f64]) -> Vec<C64> {
-        let group = &self.groups[g];
-        let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
-        let first = (group.frequencies_hz[0] / step_hz).round() as usize;
-        group.convolver.tapered(history, first, group.frequencies_hz.len())
+        let (first, count) = self.first_and_count(g);
+        self.groups[g].convolver.tapered(history, first, count)
     }
 }
 
@@ -286,28 +399,6 @@ fn interleaved(rows: Vec<Vec<C64>>) -> Vec<C64> {
 }
 
 impl Responses {
-    /// Nothing but the strains, as a start for the same columns once more.
-    pub fn strains_only(&self) -> Self {
-        let bare = |r: &Arc<RecordResponse>| {
-            Arc::new(RecordResponse {
-                profile: r.profile.clone(),
-                column: r.column.clone(),
-                depths_m: Vec::new(),
-                strain: r.strain.clone(),
-                transfer: Vec::new(),
-                input: Vec::new(),
-                motion: Vec::new(),
-            })
-        };
-        Self { records: self.records.iter().map(|group| group.iter().map(bare).collect()).collect() }
-    }
-
-    /// Whether every column is the very one of `other`.
-    pub fn shares_columns(&self, other: &Self) -> bool {
-        let pairs = self.records.iter().flatten().zip(other.records.iter().flatten());
-        pairs.into_iter().all(|(a, b)| Arc::ptr_eq(a, b))
-    }
-
     /// The profile equal to `profile` that these responses already share.
     fn find(&self, profile: &Profile) -> Option<Arc<Profile>> {
         self.records.iter().flatten().map(|r| &r.profile).find(|p| ***p == *profile).cloned()

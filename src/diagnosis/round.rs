@@ -9,12 +9,12 @@ use crate::error::Result;
 use crate::progress::Progress;
 use rayon::prelude::*;
 
-/// Steps of a joint fit, of a fit after a new anchor, and of a restart of the base.
-const STEPS: [usize; 3] = [6, 4, 8];
+/// Steps of a joint fit and of a restart of the base.
+const STEPS: [usize; 2] = [6, 8];
 /// Share of the best gain above which the runner-up is confirmed too.
 const CLOSE_SHARE: f64 = 0.7;
-/// Cost over that of noise alone above which the best effect is replayed a second time.
-const FAR: f64 = 1.05;
+/// Most replays of an effect to be confirmed.
+const REPLAYS: usize = 4;
 /// Effects weaker than this many prior standard deviations are not effects.
 const TRIVIAL: f64 = 0.05;
 
@@ -31,6 +31,15 @@ pub struct Fitted {
     pub validation_gain: f64,
     /// Whether the nonlinear column confirmed it.
     pub is_confirmed: bool,
+    /// Costs of the base on training and validation events where it was fitted.
+    against: [f64; 2],
+}
+
+/// A start of a fit: the instance, the unknowns, and which of two anchors.
+struct Start {
+    instance: usize,
+    x: Vec<f64>,
+    is_declared: bool,
 }
 
 /// What a round found.
@@ -62,31 +71,53 @@ impl Search<'_> {
         let Ground { declared, mut base, anchor } = ground;
         let unknowns = self.unknowns(&base.effects);
         let open: Vec<Instance> = self.instances.iter().filter(|i| !is_taken(i, &base.effects)).cloned().collect();
-        let mut starts: Vec<(usize, Vec<f64>)> = Vec::new();
+        let mut starts: Vec<Start> = Vec::new();
+        let mut reference: Option<(Model, &Anchor)> = None;
         if let Some((model, anchor)) = declared {
             let (_, found) = screen(&self.fitter(anchor), &unknowns, &model.train, &open, Pass::Grid);
-            starts.extend(
-                self.picked(found, &open, self.settings.finalists)
-                    .into_iter()
-                    .map(|s| (s.instance, joined(model.x(), &s.start))),
-            );
+            let picked = self.picked(found, &open, self.settings.finalists).into_iter();
+            starts.extend(picked.map(|s| Start {
+                instance: s.instance,
+                x: joined(model.x(), &s.start),
+                is_declared: true,
+            }));
+            reference = Some((self.settle(&base.effects, model.x(), anchor, Some(model), STEPS[1])?, anchor));
         }
         let (_, found) = screen(&self.fitter(anchor), &unknowns, &base.train, &open, Pass::Score);
         let few = self.settings.finalists.div_ceil(2) + 1;
-        starts.extend(self.picked(found, &open, few).into_iter().map(|s| (s.instance, joined(base.x(), &s.start))));
-        let mut fitted: Vec<Fitted> = starts
-            .par_iter()
-            .filter_map(|(index, x)| {
-                let instance = &open[*index];
-                let mut effects = base.effects.clone();
-                effects.push(instance.clone());
-                let model = self.settle(&effects, x, anchor, Some(&base), STEPS[0]).ok()?;
-                Some(Fitted { instance: instance.clone(), model, gain: 0.0, validation_gain: 0.0, is_confirmed: false })
-            })
-            .collect();
+        let picked = self.picked(found, &open, few).into_iter();
+        starts.extend(picked.map(|s| Start {
+            instance: s.instance,
+            x: joined(base.x(), &s.start),
+            is_declared: false,
+        }));
+        let fit = |start: &Start| {
+            let instance = open[start.instance].clone();
+            let mut effects = base.effects.clone();
+            effects.push(instance.clone());
+            // What is fitted where the declared values were replayed is compared with the base fitted there.
+            let (near, anchor) = match &reference {
+                Some((model, anchor)) if start.is_declared => (model, *anchor),
+                _ => (&base, anchor),
+            };
+            let model = self.settle(&effects, &start.x, anchor, Some(near), STEPS[0]).ok()?;
+            let against = [near.train.cost, near.validation_cost()];
+            Some((
+                start.is_declared,
+                Fitted { instance, model, gain: 0.0, validation_gain: 0.0, is_confirmed: false, against },
+            ))
+        };
+        let (declared, mut fitted): (Vec<_>, Vec<_>) =
+            starts.par_iter().filter_map(fit).collect::<Vec<_>>().into_iter().partition(|f| f.0);
+        let mut fitted: Vec<Fitted> = fitted.drain(..).map(|f| f.1).collect();
         self.restart(&mut base, &fitted, anchor)?;
+        for f in &mut fitted {
+            f.against = [base.train.cost, base.validation_cost()];
+        }
+        let near_base = fitted.clone();
+        fitted.extend(declared.into_iter().map(|f| f.1));
         self.judge(&mut fitted, &base);
-        let anchor = self.confirm(&mut fitted, &base, progress)?;
+        let anchor = self.confirm(&mut fitted, near_base, &base, progress)?;
         Ok(Round { base, fitted, anchor })
     }
 
@@ -117,7 +148,7 @@ impl Search<'_> {
             .take(4)
             .filter_map(|f| {
                 let x = &f.model.x()[..base.x().len()];
-                self.settle(&base.effects, x, anchor, Some(base), STEPS[2]).ok()
+                self.settle(&base.effects, x, anchor, Some(base), STEPS[1]).ok()
             })
             .collect();
         for model in restarted {
@@ -132,8 +163,8 @@ impl Search<'_> {
     fn judge(&self, fitted: &mut Vec<Fitted>, base: &Model) {
         let level = fitted.iter().map(|f| f.model.level()).fold(base.level(), f64::min).max(1.0);
         for f in fitted.iter_mut() {
-            let fall = (base.train.cost - f.model.train.cost) / level;
-            let validation = (base.validation_cost() - f.model.validation_cost()) / level;
+            let fall = (f.against[0] - f.model.train.cost) / level;
+            let validation = (f.against[1] - f.model.validation_cost()) / level;
             let charge = self.charge() * parameters(&f.instance);
             let records =
                 |groups: &[usize]| groups.iter().map(|g| self.scene.groups[*g].records.len()).sum::<usize>() as f64;
@@ -141,7 +172,9 @@ impl Search<'_> {
             let (fall, validation) = (fall - hidden[0], validation - hidden[1]);
             f.validation_gain = validation;
             f.gain = fall + validation - charge;
-            if fall < charge || validation <= 0.0 || self.is_trivial(f) {
+            // Before its replay a strong event may say no to what the fast column cannot follow.
+            let is_open = self.replay.is_some() && !f.is_confirmed;
+            if fall < charge || (validation <= 0.0 && !is_open) || self.is_trivial(f) {
                 f.gain = f.gain.min(0.0) - 50.0;
             }
         }
@@ -169,37 +202,52 @@ impl Search<'_> {
     }
 
     /// Replays the best, and then whatever is close behind or has become the best, and fits again from there; the anchor
-    /// of the best.
-    fn confirm(&self, fitted: &mut Vec<Fitted>, base: &Model, progress: &dyn Progress) -> Result<Option<Anchor>> {
+    /// of the best. Where none of these keeps what it promised from the declared values, those fitted `near_base` have
+    /// their turn, and only what they gain on the replayed base counts.
+    fn confirm(
+        &self,
+        fitted: &mut Vec<Fitted>,
+        near_base: Vec<Fitted>,
+        base: &Model,
+        progress: &dyn Progress,
+    ) -> Result<Option<Anchor>> {
         let mut anchors: Vec<(Instance, Anchor)> = Vec::new();
         if self.replay.is_none() {
             return Ok(None);
         }
-        while anchors.len() < self.settings.confirmed + 1 {
-            let Some(index) = self.next_to_confirm(fitted, anchors.len()) else { break };
-            let f = &mut fitted[index];
-            let mut anchor = self.anchored(&f.model.effects, f.model.x(), None)?;
-            let expected = f.model.cost();
-            f.model = self.settle(&f.model.effects, f.model.x(), &anchor, Some(&f.model), STEPS[1])?;
-            f.is_confirmed = true;
-            if anchors.is_empty() && f.model.level() > FAR {
-                let next = self.anchored(&f.model.effects, f.model.x(), Some(&anchor))?;
-                let model = self.settle(&f.model.effects, f.model.x(), &next, Some(&f.model), STEPS[1])?;
-                if model.cost() < f.model.cost() {
-                    (f.model, anchor) = (model, next);
-                }
+        self.replay_best(fitted, &mut anchors, base, progress)?;
+        if fitted.first().is_some_and(|f| f.gain > 0.0 && !f.is_confirmed) {
+            fitted.extend(near_base);
+            for f in fitted.iter_mut() {
+                f.against = [base.train.cost, base.validation_cost()];
             }
-            progress.note(&format!(
-                "{} {}: cost {expected:.0} expected, {:.0} after a replay",
-                f.instance.kind,
-                f.instance.place(),
-                f.model.cost()
-            ));
+            self.judge(fitted, base);
+            self.replay_best(fitted, &mut anchors, base, progress)?;
+        }
+        let best = fitted.first().filter(|f| f.is_confirmed).map(|f| &f.instance);
+        Ok(anchors.into_iter().rev().find(|(instance, _)| Some(instance) == best).map(|(_, anchor)| anchor))
+    }
+
+    /// Replays the best of `fitted` and what is close behind, as many as may be.
+    fn replay_best(
+        &self,
+        fitted: &mut Vec<Fitted>,
+        anchors: &mut Vec<(Instance, Anchor)>,
+        base: &Model,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        for done in 0..=self.settings.confirmed {
+            let Some(index) = self.next_to_confirm(fitted, done) else { break };
+            let f = &mut fitted[index];
+            let limits = (REPLAYS, base.cost());
+            let (model, anchor) = self.replayed_until_settled(f.model.clone(), None, limits, progress)?;
+            f.model = model;
+            f.is_confirmed = true;
+            f.against = [base.train.cost, base.validation_cost()];
             anchors.push((f.instance.clone(), anchor));
             self.judge(fitted, base);
         }
-        let best = fitted.first().filter(|f| f.is_confirmed).map(|f| &f.instance);
-        Ok(anchors.into_iter().find(|(instance, _)| Some(instance) == best).map(|(_, anchor)| anchor))
+        Ok(())
     }
 
     /// The best if it is not confirmed, else the first of another kind that is close behind.

@@ -1,6 +1,6 @@
 //! Screening: what each effect would gain with the nuisances free to follow, linearly.
 
-use super::fit::{Fitter, ITERATIONS, Point, difference, gram, project};
+use super::fit::{Fitter, Point, difference, gram, project};
 use super::line;
 use super::unknowns::Unknowns;
 use crate::effects::Instance;
@@ -121,13 +121,12 @@ pub fn screen(
     pass: Pass,
 ) -> (Marginal, Vec<Screened>) {
     let marginal = Marginal::new(fitter, unknowns, point);
-    let drifted = fitter.drifted(unknowns, point);
     let reference = marginal.cost(&point.residual);
     let found = instances
         .par_iter()
         .enumerate()
         .filter_map(|(index, instance)| {
-            let trial = Trial { fitter, unknowns, point, marginal: &marginal, drifted: &drifted, instance };
+            let trial = Trial { fitter, unknowns, point, marginal: &marginal, instance };
             let (start, cost) = trial.best(pass)?;
             Some(Screened { instance: index, start, fall: reference - cost })
         })
@@ -141,7 +140,6 @@ struct Trial<'a> {
     unknowns: &'a Unknowns<'a>,
     point: &'a Point,
     marginal: &'a Marginal,
-    drifted: &'a [f64],
     instance: &'a Instance,
 }
 
@@ -198,7 +196,7 @@ impl Trial<'_> {
 
     /// The Gauss–Newton step of the strength; what only shapes the effect stays.
     fn scored(&self, start: &[f64], bounds: &[[f64; 2]]) -> Option<Vec<f64>> {
-        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start, self.drifted)?;
+        let column = derivative(self.fitter, self.unknowns, self.point, self.instance, start)?;
         let (delta, _) = self.marginal.score(&self.point.residual, &column)?;
         let mut x = start.to_vec();
         // A step to or across zero would say nothing about the effect.
@@ -219,7 +217,7 @@ pub(super) fn with_effect(
     effects.push(instance.clone());
     let unknowns = Unknowns { nuisances: unknowns.nuisances, effects };
     let x: Vec<f64> = point.x.iter().chain(coordinates).copied().collect();
-    let found = fitter.at(&unknowns, &x, Some(&point.responses), ITERATIONS[2]).ok()?;
+    let found = fitter.at(&unknowns, &x, Some(&point.responses)).ok()?;
     found.cost.is_finite().then_some(found)
 }
 
@@ -230,7 +228,6 @@ pub(super) fn derivative(
     point: &Point,
     instance: &Instance,
     start: &[f64],
-    drifted: &[f64],
 ) -> Option<Mat<f64>> {
     let free = instance.free.first()?;
     let step = 0.1 * free.parameter.prior_sd;
@@ -238,7 +235,7 @@ pub(super) fn derivative(
     let mut moved = start.to_vec();
     moved[0] += step;
     let found = with_effect(fitter, unknowns, point, instance, &moved)?;
-    let column = difference(&found, point, drifted, step);
+    let column = difference(&found, point, step);
     Some(Mat::from_fn(column.len(), 1, |i, _| column[i]))
 }
 

@@ -1,7 +1,7 @@
 //! The ground the forward search stands on: models settled on training events and judged on validation events.
 
 use super::anchor::Anchor;
-use super::fit::{Fitter, ITERATIONS, Point};
+use super::fit::{Fitter, Point};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::settings::DiagnoseSettings;
@@ -129,11 +129,10 @@ impl<'a> Search<'a> {
     ) -> Result<Model> {
         let unknowns = self.unknowns(effects);
         let fitter = self.fitter(anchor);
-        let iterations = |near: Option<&Model>| if near.is_some() { ITERATIONS[1] } else { ITERATIONS[0] };
-        let start = fitter.at(&unknowns, x, near.map(|m| &m.train.responses), iterations(near))?;
+        let start = fitter.at(&unknowns, x, near.map(|m| &m.train.responses))?;
         let train = fitter.fit(&unknowns, start, steps)?;
         let judge = Fitter { groups: &self.validation, ..fitter };
-        let validation = judge.at(&unknowns, &train.x, near.map(|m| &m.validation.responses), iterations(near))?;
+        let validation = judge.at(&unknowns, &train.x, near.map(|m| &m.validation.responses))?;
         let expected = [fitter.expected(&unknowns, &train)?, judge.expected(&unknowns, &validation)?];
         Ok(Model { effects: effects.to_vec(), train, validation, expected })
     }
@@ -147,7 +146,7 @@ impl<'a> Search<'a> {
         let unknowns = self.unknowns(effects);
         let built = unknowns.build(&self.scene.problem.declared, x)?;
         let all: Vec<usize> = (0..self.scene.groups.len()).collect();
-        let responses = self.scene.responses(&built, &all, None, ITERATIONS[0])?;
-        Anchor::replayed(self.scene, replay, (&unknowns.tables(x), x), &responses, before)
+        let responses = self.scene.responses(&built, &all, None)?;
+        Ok(Anchor::of(self.scene, &replay.replay(&unknowns.tables(x))?, x, &responses, before))
     }
 }

@@ -23,6 +23,8 @@ pub struct DiagnoseSettings {
     pub confirmed: usize,
     /// Error of the column itself, as a share of its smoothed spectrum.
     pub model_error: f64,
+    /// Largest time step of the replays that the diagnosis compares with, s: the error of a longer one looks like damping.
+    pub max_step_s: f64,
     /// Explained share of the residual above which a verdict is `known`.
     pub known_share: f64,
     /// Explained share of the residual below which a verdict is `unknown`.
@@ -42,6 +44,7 @@ impl Default for DiagnoseSettings {
             finalists: 8,
             confirmed: 2,
             model_error: 0.01,
+            max_step_s: 0.0025,
             known_share: 0.8,
             unknown_share: 0.5,
             ambiguity: 10.0,
@@ -66,6 +69,7 @@ impl DiagnoseSettings {
         check("finalists", self.finalists as f64, "", 1.0, 100.0);
         check("confirmed", self.confirmed as f64, "", 1.0, 10.0);
         check("model_error", self.model_error, "", 0.0, 1.0);
+        check("max_step_s", self.max_step_s, " s", 1e-5, 0.1);
         check("known_share", self.known_share, "", 0.0, 1.0);
         check("unknown_share", self.unknown_share, "", 0.0, self.known_share);
         check("ambiguity", self.ambiguity, "", 0.0, 1e6);

@@ -1,8 +1,8 @@
 //! Twins of an array on the fast column: the same events, split and noise, and a truth of one's own.
 
-use super::fit::ITERATIONS;
+use super::anchor::Anchor;
 use super::problem::{Event, NoiseSpectrum, Problem};
-use super::responses::Scene;
+use super::responses::{DISTRUST, Scene};
 use super::spectra::{self, smoothed};
 use crate::effects::{self, Direction, Effect, Recording};
 use crate::error::Result;
@@ -15,12 +15,15 @@ use realfft::num_complex::Complex;
 type C64 = Complex<f64>;
 
 /// What a twin's records carry beside the motion.
-#[derive(Debug, Clone, Copy)]
-pub struct Disturbance {
+#[derive(Clone, Copy)]
+pub struct Disturbance<'b> {
     /// Seed of the noise; `None` records without noise.
     pub seed: Option<u64>,
     /// Random error of the motions of the output sensors, as a share of their smoothed spectra.
     pub model_error: f64,
+    /// What the nonlinear column does beyond the fast one: a random share of it is an error of the motions too, alike at all
+    /// sensors of a record, since that is how an extrapolation by the fast column goes wrong.
+    pub beyond: Option<&'b Anchor>,
 }
 
 impl Scene<'_> {
@@ -29,9 +32,9 @@ impl Scene<'_> {
     ///
     /// # Errors
     /// When the column of the truth cannot be built.
-    pub fn simulated(&self, truth: &[Box<dyn Effect>], disturbance: Disturbance) -> Result<Problem> {
+    pub fn simulated(&self, truth: &[Box<dyn Effect>], disturbance: Disturbance<'_>) -> Result<Problem> {
         let all: Vec<usize> = (0..self.groups.len()).collect();
-        let responses = self.responses(truth, &all, None, ITERATIONS[0])?;
+        let responses = self.responses(truth, &all, None)?;
         let array = &self.problem.array;
         let mut problem = self.problem.clone();
         let names: Vec<String> = array.sensors().map(String::from).collect();
@@ -50,14 +53,19 @@ impl Scene<'_> {
                 let mut random = disturbance
                     .seed
                     .map(|seed| random::stream(seed, &format!("model {} {}", event.name, event.component())));
+                let beyond = disturbance.beyond.and_then(|a| a.records[g][r].as_ref());
+                let share = random.as_mut().map_or(C64::default(), |random| normal(random) * DISTRUST);
                 motions[0].push(event.input[record.window.clone()].to_vec());
                 let computed = self.motions(truth, [g, r], &responses);
-                for (motion, mut history) in motions[1..].iter_mut().zip(computed) {
+                let count = computed.len();
+                for (s, (motion, mut history)) in motions[1..].iter_mut().zip(computed).enumerate() {
                     if let Some(random) = &mut random {
                         let bins = self.windowed(g, &history);
                         let power = smoothed(&bins, half);
+                        let rest = |k: usize| beyond.map_or(C64::default(), |a| share * a.rest[k * count + s]);
+                        let own = |p: &f64| disturbance.model_error * p.sqrt();
                         let error: Vec<C64> =
-                            power.iter().map(|p| normal(random) * (disturbance.model_error * p.sqrt())).collect();
+                            power.iter().enumerate().map(|(k, p)| normal(random) * own(p) + rest(k)).collect();
                         history.iter_mut().zip(spectra::history(&error, first, n)).for_each(|(x, e)| *x += e);
                     }
                     motion.push(history);

@@ -18,6 +18,8 @@ const MAX_DURATION_S: f64 = 41.0;
 const TAPER_SHARE: f64 = 0.04;
 /// Time that a motion is given to die away before it would wrap around, s.
 const SILENCE_S: f64 = 12.0;
+/// Samples in the period of the highest frequency of a fast column's motion.
+const PER_PERIOD: f64 = 2.4;
 /// Half width over which spectra are smoothed, Hz.
 pub(super) const SMOOTH_HZ: f64 = 0.15;
 
@@ -61,8 +63,11 @@ pub struct Convolver {
     pub frequencies_hz: Vec<f64>,
     first: usize,
     n: usize,
+    /// Samples to a coarse one, which still resolves the band.
+    coarse: usize,
     padded: [Arc<dyn RealToComplex<f64>>; 2],
     inverse: Arc<dyn ComplexToReal<f64>>,
+    coarsely: (Arc<dyn RealToComplex<f64>>, Arc<dyn ComplexToReal<f64>>),
 }
 
 impl std::fmt::Debug for Convolver {
@@ -72,9 +77,9 @@ impl std::fmt::Debug for Convolver {
 }
 
 impl Convolver {
-    fn new(n: usize, dt_s: f64, [low_hz, high_hz]: [f64; 2]) -> Self {
+    fn new(n: usize, dt_s: f64, coarse: usize, [low_hz, high_hz]: [f64; 2]) -> Self {
         let mut size = n + (SILENCE_S / dt_s) as usize;
-        while !is_smooth(size) || size % 2 == 1 {
+        while !is_smooth(size) || !size.is_multiple_of(2 * coarse) {
             size += 1;
         }
         let step_hz = 1.0 / (size as f64 * dt_s);
@@ -85,8 +90,10 @@ impl Convolver {
             frequencies_hz: (first..=last).map(|k| k as f64 * step_hz).collect(),
             first,
             n,
+            coarse,
             padded: [planner.plan_fft_forward(size), planner.plan_fft_forward(n)],
             inverse: planner.plan_fft_inverse(size),
+            coarsely: (planner.plan_fft_forward(n / coarse), planner.plan_fft_inverse(size / coarse)),
         }
     }
 
@@ -113,6 +120,26 @@ impl Convolver {
         out[..self.n].iter().map(|x| x * scale).collect()
     }
 
+    /// Tapered spectrum, at `count` bins from `first` on, of the history with these values at the convolver's frequencies: that
+    /// of [`Self::history`] by way of no more samples than the band needs.
+    pub fn cut(&self, bins: impl Iterator<Item = C64>, first: usize, count: usize) -> Vec<C64> {
+        let (forward, inverse) = &self.coarsely;
+        let (mut input, mut history) = (inverse.make_input_vec(), inverse.make_output_vec());
+        input[self.first..].iter_mut().zip(bins).for_each(|(x, bin)| *x = bin);
+        let (mut buffer, mut out) = (forward.make_input_vec(), forward.make_output_vec());
+        if inverse.process(&mut input, &mut history).is_err() {
+            return vec![C64::default(); count];
+        }
+        let scale = 1.0 / history.len() as f64;
+        for (i, (value, x)) in buffer.iter_mut().zip(&history).enumerate() {
+            *value = scale * x * taper(i * self.coarse, self.n);
+        }
+        if forward.process(&mut buffer, &mut out).is_err() {
+            out.fill(C64::default());
+        }
+        out[first..first + count].to_vec()
+    }
+
     /// Tapered spectrum of `n` samples at `count` bins from `first` on.
     pub fn tapered(&self, history: &[f64], first: usize, count: usize) -> Vec<C64> {
         let plan = &self.padded[1];
@@ -125,6 +152,11 @@ impl Convolver {
         }
         out[first..first + count].to_vec()
     }
+}
+
+/// Samples to one that still resolves `high_hz`.
+fn coarse(dt_s: f64, high_hz: f64) -> usize {
+    ((1.0 / (PER_PERIOD * high_hz * dt_s)) as usize).max(1)
 }
 
 /// Whether a transform of this size is fast.
@@ -194,14 +226,17 @@ fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<G
         return Err(Error::new("the components of an event must have the same time step").at(place()));
     }
     let n = members.iter().map(|(_, e)| e.input.len()).min().unwrap_or(0);
-    let window = strongest(&members, n, (MAX_DURATION_S / dt_s) as usize);
+    let mut window = strongest(&members, n, (MAX_DURATION_S / dt_s) as usize);
+    let coarse = coarse(dt_s, settings.band_hz[1] + 0.5);
+    window.end -= window.len() % coarse;
     let (first, count) = bins(window.len(), dt_s, settings.band_hz);
     if count < 8 {
         let what = format!("{:.1} s are too short for a band of {:?} Hz", n as f64 * dt_s, settings.band_hz);
         return Err(Error::new(what).at(place()));
     }
     let step_hz = 1.0 / (window.len() as f64 * dt_s);
-    let convolver = Convolver::new(window.len(), dt_s, [settings.band_hz[0], (first + count) as f64 * step_hz]);
+    let band_hz = [settings.band_hz[0], (first + count) as f64 * step_hz];
+    let convolver = Convolver::new(window.len(), dt_s, coarse, band_hz);
     let frequencies_hz: Vec<f64> = (0..count).map(|k| (first + k) as f64 * step_hz).collect();
     let tapered: f64 = (0..window.len()).map(|i| taper(i, window.len()).powi(2)).sum();
     let records = members

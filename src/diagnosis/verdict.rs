@@ -37,6 +37,8 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let is_named = !path.accepted.is_empty();
     let evidence = evidence(search, corrected, &path.anchor)?;
     notes.extend(unnamed(&evidence, verdict));
+    let input_coherent_share = input_coherent_share(search, &path.recalibrated);
+    notes.extend(unfollowing(input_coherent_share, verdict));
     let nuisances = unknowns.nuisance_tables(&path.recalibrated.x()[..search.nuisances.len()]);
     let corrected_nuisances = unknowns.nuisance_tables(&corrected.x()[..search.nuisances.len()]);
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
@@ -48,7 +50,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
         corrected_nuisances,
         candidates: path.candidates.clone(),
         explained_share,
-        input_coherent_share: input_coherent_share(search, &path.recalibrated),
+        input_coherent_share,
         declared: excess[0],
         recalibrated: excess[1],
         corrected: excess[2],
@@ -72,7 +74,17 @@ fn unnamed(evidence: &Evidence, verdict: Verdict) -> Option<String> {
     })
 }
 
-fn excess(model: &Model) -> Excess {
+/// How little of what remains any linear correction could explain, where that is most of the answer.
+fn unfollowing(share: Option<f64>, verdict: Verdict) -> Option<String> {
+    let share = share.filter(|s| verdict == Verdict::Unknown && *s < 0.5)?;
+    Some(format!(
+        "{:.0} % of the residual follows the recorded input alike in all events: no correction of site or sensors that is the same in all of them could explain more",
+        100.0 * share
+    ))
+}
+
+/// Excess of `model` over noise alone.
+pub(super) fn excess(model: &Model) -> Excess {
     let of = |cost: f64, expected: f64| (cost - expected) / (2.0 * expected).sqrt();
     Excess {
         train: of(model.train.cost, model.expected[0]),
@@ -160,6 +172,7 @@ fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
             parameters,
             gain: accepted.gain,
             validation_gain: accepted.validation_gain,
+            is_standing: false,
         }
     };
     path.corrected.effects.iter().zip(&path.accepted).map(of).collect()
@@ -196,11 +209,10 @@ fn tolerance_alarms(
 fn upper_bounds(search: &Search<'_>, fitter: &Fitter<'_>, model: &Model) -> Vec<UpperBound> {
     let unknowns = search.unknowns(&model.effects);
     let marginal = Marginal::new(fitter, &unknowns, &model.train);
-    let drifted = fitter.drifted(&unknowns, &model.train);
     let mut bounds: BTreeMap<(String, String), UpperBound> = BTreeMap::new();
     for instance in &search.instances {
         let (Some(free), Some(zero)) = (instance.free.first(), instance.zero()) else { continue };
-        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero, &drifted) else { continue };
+        let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero) else { continue };
         let Some((step, normal)) = marginal.score(&model.train.residual, &column) else { continue };
         let deviation = 1.0 / normal[(0, 0)].sqrt();
         let size = step[0].abs() + TWO_SIDED * deviation;

@@ -123,6 +123,11 @@ impl Array {
         std::iter::once(self.input.as_str()).chain(self.outputs.iter().map(String::as_str))
     }
 
+    /// One instance of `kind` at every sensor, the input sensor first.
+    pub fn one_each(&self, kind: &'static str, free: &[Free]) -> Vec<Instance> {
+        self.sensors().map(|s| Instance::new(kind, [("sensor", s.into())], free.to_vec())).collect()
+    }
+
     /// Depths that cut the column at its sensors: 0, the output sensors' depths rising, the base.
     pub fn cuts_m(&self) -> Vec<f64> {
         let mut cuts = self.depths_m.clone();

@@ -51,8 +51,7 @@ const PARAMETERS: &[Parameter] = &[
 
 /// One instance a sensor, the input sensor too.
 fn instances(array: &Array) -> Vec<Instance> {
-    let free = || vec![Free::new(&PARAMETERS[0], 0.0), Free::new(&PARAMETERS[1], 5.0)];
-    array.sensors().map(|s| Instance::new(ENTRY.name, [("sensor", s.into())], free())).collect()
+    array.one_each(ENTRY.name, &[Free::new(&PARAMETERS[0], 0.0), Free::new(&PARAMETERS[1], 5.0)])
 }
 
 /// Adds a sine whose phase is another in each event and component.

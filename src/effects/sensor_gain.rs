@@ -36,8 +36,7 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 
 /// One instance a sensor, the input sensor too.
 fn instances(array: &Array) -> Vec<Instance> {
-    let at = |s: &str| Instance::new(ENTRY.name, [("sensor", s.into())], vec![Free::new(&PARAMETERS[0], 0.0)]);
-    array.sensors().map(at).collect()
+    array.one_each(ENTRY.name, &[Free::new(&PARAMETERS[0], 0.0)])
 }
 
 /// Multiplies what a sensor records by a constant.

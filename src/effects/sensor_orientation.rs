@@ -36,8 +36,7 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 
 /// One instance a sensor, the input sensor too, where two components are recorded.
 fn instances(array: &Array) -> Vec<Instance> {
-    let at = |s: &str| Instance::new(ENTRY.name, [("sensor", s.into())], vec![Free::new(&PARAMETERS[0], 0.0)]);
-    if array.components.len() < 2 { Vec::new() } else { array.sensors().map(at).collect() }
+    if array.components.len() < 2 { Vec::new() } else { array.one_each(ENTRY.name, &[Free::new(&PARAMETERS[0], 0.0)]) }
 }
 
 /// Turns the first two components of a sensor.

@@ -16,7 +16,7 @@ pub struct RecordSettings {
     /// Unit of the files: `g`, `gal` or `m/s2`.
     #[serde(default = "default_unit")]
     pub unit: AccelerationUnit,
-    /// Manifest of the twin truth, relative to this manifest.
+    /// Truth file, relative to this manifest: what holds at the twin, or what to do to measured records.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth: Option<String>,
     /// Horizontal components, each calibrated by itself.

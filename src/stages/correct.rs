@@ -4,7 +4,7 @@
 //! effect the corrected manifest is the declared one: a second pass on it then finds everything in the cache.
 
 use super::diagnose;
-use crate::diagnosis::{Diagnosis, Verdict};
+use crate::diagnosis::{Diagnosis, Found, Verdict};
 use crate::error::{Context, Result};
 use crate::pipeline::{Stage, Task};
 use std::fs;
@@ -65,15 +65,21 @@ impl Stage for Correct {
     }
 }
 
-/// The `[[effects]]` that a diagnosis adds; none unless it names them with confidence or as one of several. Values are
+/// The `[[effects]]` that a diagnosis adds. Where structure remains that has no name, only those effects are trusted that
+/// hold whatever the profile; without any there is nothing to correct. Values are
 /// recalibrated before effects are added, as they were when they were fitted: a damping multiplier scales what is declared.
 pub fn correction(diagnosis: &Diagnosis) -> Vec<Table> {
-    match diagnosis.verdict {
-        Verdict::Known | Verdict::Ambiguous if !diagnosis.effects.is_empty() => {
-            diagnosis.corrected_nuisances.iter().chain(diagnosis.effects.iter().map(|e| &e.table)).cloned().collect()
+    let (named, nuisances) = match diagnosis.verdict {
+        Verdict::Known | Verdict::Ambiguous => (diagnosis.effects.iter().collect(), &diagnosis.corrected_nuisances),
+        Verdict::None | Verdict::Unknown => {
+            let standing: Vec<&Found> = diagnosis.effects.iter().filter(|e| e.is_standing).collect();
+            (standing, &diagnosis.nuisances)
         }
-        _ => Vec::new(),
+    };
+    if named.is_empty() {
+        return Vec::new();
     }
+    nuisances.iter().chain(named.into_iter().map(|e| &e.table)).cloned().collect()
 }
 
 /// Writes the section `effects`: those of the manifest, then those `added`.

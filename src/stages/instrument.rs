@@ -54,6 +54,11 @@ impl Instrument {
         self.changed(records, Direction::Undo)
     }
 
+    /// The `records` of one event as if the effects acted on what was measured.
+    pub fn distorted(&self, records: &[Record]) -> Vec<Record> {
+        self.changed(records, Direction::Distort)
+    }
+
     /// What the sensors would record of true motions (`[sensor][component][step]`, the input sensor first, `dt_s` apart)
     /// in the event of `records`, with what the instruments added to those.
     pub fn recorded(&self, records: &[Record], dt_s: f64, motions: &[Channels]) -> Vec<Channels> {

@@ -26,6 +26,7 @@ pub mod twins;
 
 pub use evaluate::Evaluation;
 pub use null_twins::read as thresholds;
+pub use records::measured;
 
 use crate::pipeline::Stage;
 

@@ -22,7 +22,7 @@ impl Stage for NullTwins {
     }
 
     fn version(&self) -> u32 {
-        1
+        3
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -32,7 +32,7 @@ impl Stage for NullTwins {
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let bench = Bench::of(task)?;
         let settings: DiagnoseSettings = task.section("diagnose")?;
-        write(task.output_dir(), &thresholds(&bench.problem, &settings, task.progress())?)
+        write(task.output_dir(), &thresholds(&bench.problem, Some(&bench), &settings, task.progress())?)
     }
 }
 

@@ -5,7 +5,7 @@ use super::instrument::{Instrument, by_event};
 use super::records;
 use super::replay::{base_motions, replayed};
 use super::shake::{Response, shake};
-use crate::diagnosis::{self, Event, Problem, Replay};
+use crate::diagnosis::{self, DiagnoseSettings, Event, NoiseSpectrum, Problem, Replay};
 use crate::effects::Situation;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
@@ -13,6 +13,11 @@ use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::Task;
 use crate::records::{Record, RecordSettings, Split};
 use toml::Table;
+
+/// Longest stretch of an event that is replayed, s: what is compared, and a lead for the column to forget that it began at rest.
+const LONGEST_S: f64 = 45.0;
+/// That lead, s.
+const LEAD_S: f64 = 3.0;
 
 /// Sections that [`Bench::of`] needs of the stage that asks.
 pub const READS: &[&str] = &[
@@ -51,6 +56,7 @@ impl<'a> Bench<'a> {
         let settings: RecordSettings = task.section("records")?;
         let opened = records::settings_without_test(task)?;
         let found = by_event(records::read(task.input("records")?, &opened, &sections.sensors)?.records);
+        let sections = refined(sections, &task.section("diagnose")?);
         Self::new(Some(task), sections, task.section("tolerances")?, settings, found)
     }
 
@@ -65,7 +71,9 @@ impl<'a> Bench<'a> {
         settings: RecordSettings,
         events: Vec<(Split, Vec<Record>)>,
     ) -> Result<Self> {
-        let problem = problem(&sections, tolerances, &settings, &events)?;
+        let noise: Vec<_> = events.iter().map(|(_, r)| r.iter().map(diagnosis::noise).collect()).collect();
+        let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
+        let problem = problem(&sections, tolerances, &settings, &events, &noise)?;
         let events = events.into_iter().map(|(_, records)| records).collect();
         Ok(Self { task, sections, settings, events, problem })
     }
@@ -82,13 +90,40 @@ impl<'a> Bench<'a> {
     }
 }
 
+/// The records of an event, cut to the stretch with most input energy where they are long. Noise is that of the whole records.
+fn strongest(records: Vec<Record>) -> Vec<Record> {
+    let Some(first) = records.first().filter(|r| r.duration_s() > LONGEST_S) else { return records };
+    let (n, longest) = (first.n_step(), ((LONGEST_S - LEAD_S) / first.dt_s) as usize);
+    let power = |i: usize| records.iter().map(|r| r.input.acceleration_m_s2[i].powi(2)).sum::<f64>();
+    let mut sum: f64 = (0..longest).map(power).sum();
+    let (mut most, mut start) = (sum, 0);
+    for i in longest..n {
+        sum += power(i) - power(i - longest);
+        // A little more energy is not worth losing the onset.
+        if sum > 1.001 * most {
+            (most, start) = (sum, i + 1 - longest);
+        }
+    }
+    let start_s = (start as f64 * first.dt_s - LEAD_S).max(0.0);
+    records.iter().map(|r| r.window(start_s, LONGEST_S)).collect()
+}
+
+/// `sections` with the steps of the diagnosis' replays.
+pub fn refined(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+    let analysis = &mut sections.analysis;
+    analysis.max_step_s = analysis.max_step_s.min(settings.max_step_s);
+    analysis.initial_step_s = analysis.initial_step_s.min(analysis.max_step_s);
+    sections
+}
+
 fn problem(
     sections: &ColumnSections,
     tolerances: Tolerances,
     settings: &RecordSettings,
     events: &[(Split, Vec<Record>)],
+    noise: &[Vec<Vec<NoiseSpectrum>>],
 ) -> Result<Problem> {
-    let event = |split: Split, record: &Record| {
+    let event = |split: Split, record: &Record, noise: &[NoiseSpectrum]| {
         let component = settings.components.iter().position(|c| *c == record.component).unwrap_or(0);
         Event {
             name: record.event.clone(),
@@ -97,14 +132,18 @@ fn problem(
             dt_s: record.dt_s,
             input: record.input.acceleration_m_s2.clone(),
             outputs: record.outputs.iter().map(|s| s.acceleration_m_s2.clone()).collect(),
-            noise: diagnosis::noise(record),
+            noise: noise.to_vec(),
         }
     };
     Ok(Problem {
         array: sections.array(&settings.components)?,
         declared: sections.effects.clone(),
         tolerances,
-        events: events.iter().flat_map(|(split, records)| records.iter().map(|r| event(*split, r))).collect(),
+        events: events
+            .iter()
+            .zip(noise)
+            .flat_map(|((split, records), noise)| records.iter().zip(noise).map(|(r, n)| event(*split, r, n)))
+            .collect(),
     })
 }
 

@@ -1,6 +1,8 @@
 //! The records of the site: read from files, or recorded at a twin of the site.
 
 use super::artifact::write_json;
+use super::instrument::{Instrument, by_event};
+use crate::effects;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, SensorsSection, Tolerances};
 use crate::pipeline::{Stage, Task};
@@ -21,7 +23,7 @@ impl Stage for Records {
     }
 
     fn about(&self) -> &'static str {
-        "measured records from files, or synthetic ones of a twin site, in m/s²"
+        "measured records from files (altered by a truth, where one is given), or synthetic ones of a twin site, in m/s²"
     }
 
     fn version(&self) -> u32 {
@@ -39,13 +41,13 @@ impl Stage for Records {
     fn files(&self, parameters: &Table, _: &Path) -> Result<Vec<PathBuf>> {
         let settings: RecordSettings = section(parameters, "records")?;
         let sensors: SensorsSection = section(parameters, "sensors")?;
+        let mut files: Vec<PathBuf> = settings.truth.iter().flat_map(|truth| Truth::files(Path::new(truth))).collect();
         if settings.format == "twin" {
-            return Ok(settings.truth.iter().flat_map(|truth| Truth::files(Path::new(truth))).collect());
+            return Ok(files);
         }
         let format = (registry::find("record format", FORMATS, &settings.format)?.build)(settings.options.clone())?;
         let dir = PathBuf::from(settings.dir.clone().unwrap_or_default());
         let outputs = sensors.names();
-        let mut files = Vec::new();
         for (event, _) in settings.events() {
             for component in &settings.components {
                 let input = &sensors.input;
@@ -58,12 +60,10 @@ impl Stage for Records {
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let settings: RecordSettings = task.section("records")?;
-        let sensors: SensorsSection = task.section("sensors")?;
         let (found, missing) = if settings.format == "twin" {
             (twin_records(task, &settings)?, Vec::new())
         } else {
-            let dir = PathBuf::from(settings.dir.clone().unwrap_or_default());
-            let read = records::load(&settings, &dir, &sensors.input, &sensors.names())?;
+            let read = measured(&settings, &column(task)?)?;
             (read.records.into_iter().map(|(_, r)| r).collect(), read.missing)
         };
         for record in &found {
@@ -99,6 +99,29 @@ fn twin_records(task: &Task<'_>, settings: &RecordSettings) -> Result<Vec<Record
         })
         .collect::<Result<_>>()?;
     Ok(records.into_iter().flatten().collect())
+}
+
+/// The records in the files that `settings` name; where these name a truth too, as its sensors would have recorded what was
+/// measured.
+///
+/// # Errors
+/// When a file is not a sound record, or the truth holds more than effects between the ground and the record.
+pub fn measured(settings: &RecordSettings, sections: &ColumnSections) -> Result<records::Records> {
+    let dir = Path::new(settings.dir.as_deref().unwrap_or_default());
+    let mut read = records::load(settings, dir, &sections.sensors.input, &sections.sensors.names())?;
+    if let Some(path) = &settings.truth {
+        let truth = Truth::load(Path::new(path))?;
+        let checked = truth.check_alters().and_then(|()| {
+            effects::check_names(&truth.effects, &sections.array(&settings.components)?)?;
+            Instrument::new(&sections.sensors, sections.site.depth_m, &truth.effects)
+        });
+        let instrument = checked.map_err(|e| e.at(format!("`{path}`")))?;
+        let altered = |(split, records): (_, Vec<Record>)| {
+            instrument.distorted(&records).into_iter().map(move |record| (split, record)).collect::<Vec<_>>()
+        };
+        read.records = by_event(read.records).into_iter().flat_map(altered).collect();
+    }
+    Ok(read)
 }
 
 /// The sections that make the column, of a stage that reads them.

@@ -1,7 +1,7 @@
 //! The truth file: what really holds at a twin site.
 
 use super::outside;
-use crate::effects;
+use crate::effects::{self, Class};
 use crate::error::{Context, Error, Result};
 use crate::motion::{Band, MotionSettings};
 use crate::records::Noise;
@@ -41,7 +41,8 @@ pub struct Truth {
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, serde_json::Map<String, serde_json::Value>>")]
     pub law: BTreeMap<String, Table>,
-    /// Events of the array.
+    /// Events of the array; none where the truth alters measured records.
+    #[serde(default)]
     pub event: Vec<EventSection>,
     /// Effects that hold and are not declared.
     #[serde(default)]
@@ -127,6 +128,27 @@ impl Truth {
     pub fn components(&self) -> Vec<String> {
         let names: std::collections::BTreeSet<&String> = self.event.iter().flat_map(|e| e.pga_g.keys()).collect();
         names.into_iter().cloned().collect()
+    }
+
+    /// Whether this truth can be put on measured records: nothing but effects of sensors on what they record.
+    ///
+    /// # Errors
+    /// When it holds something that only a computed motion could show.
+    pub fn check_alters(&self) -> Result<()> {
+        let of_soil = |table: &&Table| {
+            let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
+            // A measured motion cannot be read at another depth.
+            kind == "sensor_depth" || effects::find(kind).is_ok_and(|e| e.catalogue.class != Class::Sensor)
+        };
+        let what = match self.effects.iter().find(of_soil) {
+            Some(table) => format!("effect {} changes the motion of the ground, which was measured", table["kind"]),
+            None if !self.event.is_empty() => "there are events of its own, but the records are measured".to_string(),
+            None if !self.law.is_empty() || !self.outside.is_empty() => {
+                "`law` and `outside` change the motion of the ground, which was measured".to_string()
+            }
+            None => return Ok(()),
+        };
+        Err(Error::new(what).hint("only effects of sensors can be put on measured records").usage())
     }
 
     /// Settings of one event motion of peak `pga_g`; seed and duration are the event's own.

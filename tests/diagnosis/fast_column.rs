@@ -2,7 +2,7 @@
 
 use crate::support::{STEP_S, Truth, array, problem, settings, table};
 use flare_pipe::column::{Layer, Profile, Rayleigh, Vertical};
-use flare_pipe::diagnosis::{Curves, FastColumn, Grid, Replay, Scene};
+use flare_pipe::diagnosis::{Curves, FastColumn, Grid, Replay, Scene, Tuning};
 use flare_pipe::effects;
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
@@ -44,7 +44,7 @@ fn elastic_layers_match_the_exact_transfer_function_and_converge_with_the_square
     let miss = |elements: usize| {
         let column = FastColumn::new(&profile, elements, &Curves::default()).unwrap();
         let grid = Grid::around(0.2, 10.0, column.grid_step_hz());
-        let march = column.march(grid, &vec![1e-5; column.n_element()], &[0.0]);
+        let march = column.march(grid, &vec![1e-5; column.n_element()], &[0.0], &Tuning::default());
         let mut worst = 0.0f64;
         for f in [0.33, 0.5, 1.0, 2.02, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 9.9] {
             let mut ours = [C64::default()];
@@ -65,7 +65,7 @@ fn strains_are_those_of_the_marched_motion() {
     let column = FastColumn::new(&profile, 100, &Curves::default()).unwrap();
     let grid = Grid::around(0.2, 10.0, column.grid_step_hz());
     let depths: Vec<f64> = vec![5.0, 5.1];
-    let march = column.march(grid, &vec![1e-5; column.n_element()], &depths);
+    let march = column.march(grid, &vec![1e-5; column.n_element()], &depths, &Tuning::default());
     let (f, u) = (2.2, C64::new(0.01, 0.002));
     let mut motion = [C64::default(); 2];
     march.response(f, &mut motion);
@@ -89,7 +89,7 @@ fn against_nonlinear(pga_scale: f64) -> f64 {
     }
     let scene = Scene::new(&problem, &settings()).unwrap();
     let all: Vec<usize> = (0..scene.groups.len()).collect();
-    let responses = scene.responses(&effects::build_all(&[]).unwrap(), &all, None, 8).unwrap();
+    let responses = scene.responses(&effects::build_all(&[]).unwrap(), &all, None).unwrap();
     let (mut miss, mut size) = (0.0, 0.0);
     for (g, group) in scene.groups.iter().enumerate() {
         for (r, record) in group.records.iter().enumerate() {
@@ -123,7 +123,7 @@ fn an_effect_changes_the_fast_column_as_it_changes_the_nonlinear_one() {
     let (before, after) = (replays.replay(&[]).unwrap(), replays.replay(&slow).unwrap());
     let scene = Scene::new(&problem, &settings()).unwrap();
     let all: Vec<usize> = (0..scene.groups.len()).collect();
-    let at = |tables: &[toml::Table]| scene.responses(&effects::build_all(tables).unwrap(), &all, None, 8).unwrap();
+    let at = |tables: &[toml::Table]| scene.responses(&effects::build_all(tables).unwrap(), &all, None).unwrap();
     let (fast_before, fast_after) = (at(&[]), at(&slow));
     let (mut miss, mut size) = (0.0, 0.0);
     for (g, group) in scene.groups.iter().enumerate() {

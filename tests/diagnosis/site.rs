@@ -65,7 +65,7 @@ fn site() {
     if let Some(count) = std::env::var("NULLS").ok().and_then(|n| n.parse().ok()) {
         settings.null_twins = count;
         let start = Instant::now();
-        limits = thresholds(&problem, &settings, &Loud).expect("thresholds");
+        limits = thresholds(&problem, None, &settings, &Loud).expect("thresholds");
         println!("{limits:?} after {:.1} s", start.elapsed().as_secs_f64());
     }
     let start = Instant::now();

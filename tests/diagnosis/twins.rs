@@ -108,7 +108,7 @@ fn nulls() {
     let truth = Truth { elements: 60, max_step_s: 0.005, seed: 77, events: 8 };
     let problem = problem(&array, &[], truth);
     let start = std::time::Instant::now();
-    let limits = diagnosis::thresholds(&problem, &settings(), &Quiet).unwrap();
+    let limits = diagnosis::thresholds(&problem, None, &settings(), &Quiet).unwrap();
     println!("{limits:?} in {:.0} s", start.elapsed().as_secs_f64());
     let start = std::time::Instant::now();
     let power = power(&problem, &settings(), Some(&limits)).unwrap();
@@ -130,7 +130,7 @@ fn a_twin_of_the_fast_column_with_a_late_clock_is_named_and_one_without_is_not()
     let array = array();
     let declared = problem(&array, &[], Truth { elements: 60, max_step_s: 0.005, seed: 21, events: 6 });
     let scene = Scene::new(&declared, &settings()).unwrap();
-    let disturbance = Disturbance { seed: Some(4), model_error: 0.0 };
+    let disturbance = Disturbance { seed: Some(4), model_error: 0.0, beyond: None };
     let tables = drawn(&nuisances(&declared).unwrap(), 4);
     let seen = |extra: &[toml::Table]| {
         let all: Vec<toml::Table> = tables.iter().chain(extra).cloned().collect();
@@ -157,7 +157,8 @@ impl diagnosis::Replay for FastReplay<'_> {
     fn replay(&self, tables: &[toml::Table]) -> flare_pipe::error::Result<Vec<Option<Vec<Vec<f64>>>>> {
         let scene = Scene::new(self.0, &settings())?;
         let soil: Vec<toml::Table> = tables.iter().filter(|t| !t.contains_key("sensor")).cloned().collect();
-        let runs = scene.simulated(&effects::build_all(&soil)?, Disturbance { seed: None, model_error: 0.0 })?;
+        let runs =
+            scene.simulated(&effects::build_all(&soil)?, Disturbance { seed: None, model_error: 0.0, beyond: None })?;
         Ok(runs.events.into_iter().map(|e| Some(e.outputs)).collect())
     }
 }

@@ -1,0 +1,398 @@
+//! Errors of sensors that stand whatever the profile: what the low frequencies say, put down to one sensor or another.
+
+use super::hygiene::Suspicion;
+use super::low_frequency::{Error, Passed, passed};
+use super::outcome::{Candidate, Diagnosis, Estimate, Excess, Found, Verdict};
+use super::problem::{Problem, Replay};
+use super::responses::Scene;
+use super::search::{Model, Search};
+use super::settings::DiagnoseSettings;
+use super::unknowns::nuisances;
+use super::verdict::excess;
+use crate::effects::{self, Array, Class};
+use crate::error::Result;
+use std::collections::BTreeMap;
+use std::f64::consts::{PI, TAU};
+use toml::{Table, Value};
+
+/// Distance from what is declared that is beyond doubt, in standard deviations.
+const BEYOND: f64 = 4.0;
+/// What the field is from one-dimensional at low frequencies, by [`KINDS`]: 3 %, 3 ms, a corner of 0.01 Hz that any instrument may
+/// have, 1°.
+const FIELD: [f64; 4] = [0.03, 0.003, 0.01, 0.017];
+/// Normal quantile of a two-sided 95 % interval.
+const TWO_SIDED: f64 = 1.96;
+
+/// An error of a sensor that stands, and what the low frequencies cannot tell from it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Standing {
+    /// The effect.
+    pub found: Found,
+    /// Kinds that look the same there, its own included.
+    pub alike: Vec<String>,
+    /// Why it stands, for people.
+    pub why: &'static str,
+}
+
+/// Cost over that of noise alone up to which amplitudes of the whole band are trusted.
+const TRUSTED: f64 = 2.0;
+/// The effect that delays all output sensors.
+const BASE: &str = "compliant_base";
+/// Steps of a recalibration.
+const STEPS: usize = 6;
+
+const PASSED: &str = "stands whatever the profile: every column passes low frequencies alike";
+const LABELS: &str = "stands: with these labels and signs every event fits far better";
+
+/// `standing` with those that look like other kinds at low frequencies told from them by the whole band, where the model is
+/// good enough for its amplitudes to say so; a base that lets waves out is left to the search.
+///
+/// # Errors
+/// When an event is unusable or a replay is impossible.
+pub fn decided(
+    mut standing: Vec<Standing>,
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+) -> Result<Vec<Standing>> {
+    let mut at = 0;
+    while at < standing.len() {
+        let alike = standing[at].alike.clone();
+        let mut options = Vec::new();
+        for kind in &alike {
+            let own = if *kind == standing[at].found.kind {
+                Some(standing[at].clone())
+            } else {
+                low_pass(&standing[at], &problem.array).filter(|l| l.found.kind == *kind)
+            };
+            let others = standing.iter().enumerate().filter(|(i, _)| *i != at).map(|(_, s)| s.clone());
+            let beside: Vec<Standing> = own.iter().cloned().chain(others).collect();
+            let more = own.is_none().then_some(kind.as_str());
+            let model = settled(problem, replay, settings, &beside, more)?;
+            options.extend(model.map(|(m, _)| (own, [m.cost(), m.level()])));
+        }
+        options.sort_by(|a, b| a.1[0].total_cmp(&b.1[0]));
+        let is_clear = match options.as_slice() {
+            [(_, best), (_, next), ..] => {
+                best[1] < TRUSTED && next[0] - best[0] > settings.ambiguity * best[1].max(1.0)
+            }
+            _ => false,
+        };
+        match options.into_iter().next().filter(|_| is_clear) {
+            Some((Some(own), _)) => standing[at] = Standing { alike: Vec::new(), ..own },
+            Some((None, _)) => {
+                standing.remove(at);
+                continue;
+            }
+            // Where several output sensors share a delay, the search has their differences to judge a base by.
+            None if alike.iter().any(|kind| kind == BASE) && problem.array.outputs.len() > 1 => {
+                standing.remove(at);
+                continue;
+            }
+            None => {}
+        }
+        at += 1;
+    }
+    Ok(standing)
+}
+
+/// The recalibrated model beside what stands, with an effect of `kind` more; with the tables of its nuisances.
+fn settled(
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+    standing: &[Standing],
+    kind: Option<&str>,
+) -> Result<Option<(Model, Vec<Table>)>> {
+    let (known, replay) = beside(problem, replay, standing);
+    let mut scene = Scene::new(&known, settings)?;
+    let anchor = scene.declared(Some(&replay), nuisances(&known)?.len())?;
+    let search = Search::new(&scene, settings, Some(&replay))?;
+    let mut x = vec![0.0; search.nuisances.len()];
+    let mut effects = Vec::new();
+    if let Some(kind) = kind {
+        let Some(instance) = search.instances.iter().find(|i| i.kind == kind) else { return Ok(None) };
+        x.extend(instance.start());
+        effects.push(instance.clone());
+    }
+    let model = search.settle(&effects, &x, &anchor, None, STEPS)?;
+    let tables = search.unknowns(&[]).nuisance_tables(&model.x()[..search.nuisances.len()]);
+    Ok(Some((model, tables)))
+}
+
+/// The low-pass that delays low frequencies as the clock of `standing` does.
+fn low_pass(standing: &Standing, array: &Array) -> Option<Standing> {
+    let delay = standing.found.parameters.get("offset_s")?;
+    let own = standing.found.table.get("sensor").and_then(Value::as_str)?;
+    // What is early at the one output sensor is late at the input sensor.
+    let sensor = match (delay.value > 0.0, array.outputs.as_slice()) {
+        (true, _) => own,
+        (false, [only]) if only == own => array.input.as_str(),
+        _ => return None,
+    };
+    let corner_hz = |offset_s: f64| 1.0 / (TAU * offset_s.abs());
+    let mut table = table("instrument_low_pass", sensor);
+    table.insert("corner_hz".into(), Value::Float(corner_hz(delay.value)));
+    let [low, high] = delay.ci95.map(corner_hz);
+    let ci95 = [low.min(high), low.max(high)];
+    let estimate = Estimate { value: corner_hz(delay.value), unit: "Hz".into(), ci95 };
+    let alike: Vec<&str> = standing.alike.iter().map(String::as_str).collect();
+    Some(stands(table, BTreeMap::from([("corner_hz".to_string(), estimate)]), standing.found.gain, &alike))
+}
+
+/// `problem` with what stands declared, and its column shaken accordingly.
+pub fn beside<'a>(problem: &Problem, replay: &'a dyn Replay, standing: &[Standing]) -> (Problem, Beside<'a>) {
+    let tables: Vec<Table> = standing.iter().map(|s| s.found.table.clone()).collect();
+    let mut known = problem.clone();
+    known.declared.extend(tables.iter().cloned());
+    (known, Beside { replay, tables })
+}
+
+/// Replays under effects that stand already.
+pub struct Beside<'a> {
+    replay: &'a dyn Replay,
+    tables: Vec<Table>,
+}
+
+impl Replay for Beside<'_> {
+    fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
+        self.replay.replay(&all)
+    }
+}
+
+/// What stands, and what else was found on top of it; the recalibrated model is that of `problem` without any of it.
+///
+/// # Errors
+/// As [`decided`].
+pub fn together(
+    standing: Vec<Standing>,
+    mut rest: Diagnosis,
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+) -> Result<Diagnosis> {
+    if let Some((model, nuisances)) = settled(problem, replay, settings, &[], None)? {
+        let cost =
+            |e: &Excess| e.train * (2.0 * model.expected[0]).sqrt() + e.validation * (2.0 * model.expected[1]).sqrt();
+        rest.recalibrated = excess(&model);
+        let [lost, left] = [&rest.recalibrated, &rest.corrected].map(cost);
+        rest.explained_share = (lost > 0.0).then(|| (1.0 - left / lost).clamp(0.0, 1.0));
+        rest.nuisances = nuisances;
+    }
+    for Standing { found, alike, why } in &standing {
+        rest.notes.push(format!("`{}` at {} {why}", found.kind, found.target));
+        if alike.len() > 1 {
+            rest.notes.push(format!("at low frequencies {} look the same", alike.join(", ")));
+        }
+        // Kinds that explain the records as well are named with those that were chosen.
+        let named = if alike.len() > 1 || !rest.ambiguity.is_empty() { alike.as_slice() } else { &[] };
+        let new: Vec<String> = named.iter().filter(|kind| !rest.ambiguity.contains(kind)).cloned().collect();
+        rest.ambiguity.extend(new);
+    }
+    // What stands counts among the named effects: structure may remain beside them, as beside any others.
+    let is_explained = rest.explained_share.is_some_and(|share| share >= settings.known_share);
+    rest.verdict = match rest.verdict {
+        Verdict::Unknown if !is_explained => Verdict::Unknown,
+        Verdict::Ambiguous => Verdict::Ambiguous,
+        _ if standing.iter().any(|s| s.alike.len() > 1) => Verdict::Ambiguous,
+        _ => Verdict::Known,
+    };
+    let tried = standing.iter().map(|s| Candidate {
+        kind: s.found.kind.clone(),
+        target: s.found.target.clone(),
+        class: s.found.class,
+        gain: s.found.gain,
+        validation_gain: s.found.validation_gain,
+        explained_share: rest.explained_share.unwrap_or_default(),
+        round: 0,
+        is_confirmed: true,
+        table: s.found.table.clone(),
+    });
+    rest.candidates.splice(0..0, tried.collect::<Vec<_>>());
+    rest.effects.splice(0..0, standing.into_iter().map(|s| s.found));
+    Ok(rest)
+}
+
+/// Kinds of [`Passed::errors`], with the parameter and its unit.
+const KINDS: [[&str; 3]; 4] = [
+    ["sensor_gain", "ln_gain", ""],
+    ["clock_offset", "offset_s", "s"],
+    ["instrument_high_pass", "corner_hz", "Hz"],
+    ["sensor_orientation", "azimuth_deg", "°"],
+];
+
+/// Errors of sensors in `problem` that stand out of the declared tolerances.
+///
+/// One output sensor tells no more than its error less that of the input sensor: it is then put down to the output sensor.
+/// What most of several output sensors share is put down to the input sensor.
+///
+/// Limits: waves that come aslant or run along the surface are in [`FIELD`] only; at a low-pass or a base that lets waves out, motions are late at low frequencies as if a clock were wrong.
+/// Check:  `what_all_outputs_share_is_the_input_sensors`.
+pub fn standing(problem: &Problem, settings: &DiagnoseSettings) -> Vec<Standing> {
+    let passed = passed(problem, settings.band_hz[0]);
+    let array = &problem.array;
+    let n = passed.len();
+    if n == 0 {
+        return Vec::new();
+    }
+    let mut of_input = Vec::new();
+    let mut of_outputs = vec![Vec::new(); n];
+    reflections(problem, &passed, &mut of_input, &mut of_outputs);
+    let t = &problem.tolerances;
+    let tolerances = [t.gain_ln, t.clock_s, 0.0, t.orientation_deg.to_radians()];
+    for (kind, tolerance) in tolerances.into_iter().enumerate() {
+        let tolerance = tolerance.hypot(FIELD[kind]);
+        let own: Vec<Error> = passed.iter().map(|p| p.errors[kind].unwrap_or(NOTHING)).collect();
+        let common = shared(&own, tolerance);
+        if let Some(common) = common {
+            of_input.push(effect(kind, &array.input, Error { value: -common.value, ..common }, common.value > 0.0));
+        }
+        let common = common.map_or(0.0, |c| c.value);
+        for (j, own) in own.iter().enumerate() {
+            let rest = Error { value: own.value - common, ..*own };
+            let sensor = &array.outputs[passed[j].output];
+            if !is_beyond(rest, tolerance) {
+                continue;
+            }
+            // A corner cannot be negative: it is the other sensor's.
+            if kind != 2 || rest.value > 0.0 {
+                of_outputs[j].push(effect(kind, sensor, rest, n == 1 && rest.value > 0.0));
+            } else if n == 1 {
+                of_input.push(effect(kind, &array.input, Error { value: -rest.value, ..rest }, false));
+            }
+        }
+    }
+    // The records went through reflections before turns; to undo them at the input sensor they come the other way round.
+    of_input.reverse();
+    of_input.into_iter().chain(of_outputs.into_iter().flatten()).collect()
+}
+
+const NOTHING: Error = Error { value: 0.0, deviation: 0.0 };
+
+fn is_beyond(error: Error, tolerance: f64) -> bool {
+    error.value.abs() > BEYOND * error.deviation.hypot(tolerance)
+}
+
+/// The error that most of several output sensors share.
+fn shared(own: &[Error], tolerance: f64) -> Option<Error> {
+    if own.len() < 2 {
+        return None;
+    }
+    let mut values: Vec<f64> = own.iter().map(|e| e.value).collect();
+    values.sort_by(f64::total_cmp);
+    let half = values.len() / 2;
+    let value = if values.len() % 2 == 1 { values[half] } else { 0.5 * (values[half - 1] + values[half]) };
+    let is_like = |e: &&Error| !is_beyond(Error { value: e.value - value, ..**e }, tolerance);
+    let alike: Vec<&Error> = own.iter().filter(is_like).collect();
+    let deviation = alike.iter().map(|e| e.deviation).fold(0.0, f64::max);
+    let common = Error { value, deviation };
+    (2 * alike.len() > own.len() && is_beyond(common, tolerance)).then_some(common)
+}
+
+fn reflections(problem: &Problem, passed: &[Passed], of_input: &mut Vec<Standing>, of_outputs: &mut [Vec<Standing>]) {
+    let array = &problem.array;
+    let is_none = |p: &Passed| p.reflection == [[1.0, 0.0], [0.0, 1.0]];
+    let all = passed.len() > 1 && passed.iter().all(|p| p.reflection == passed[0].reflection);
+    if all && !is_none(&passed[0]) {
+        of_input.extend(reflection(&array.components, &array.input, passed[0].reflection));
+        return;
+    }
+    for (p, found) in passed.iter().zip(of_outputs).filter(|(p, _)| !is_none(p)) {
+        found.extend(reflection(&array.components, &array.outputs[p.output], p.reflection));
+    }
+}
+
+/// A reflection as wrong labels and signs of a sensor.
+fn reflection(components: &[String], sensor: &str, matrix: [[f64; 2]; 2]) -> Vec<Standing> {
+    let polarity = |component: Option<&String>| {
+        let mut table = table("sensor_polarity", sensor);
+        table.extend(component.map(|c| ("component".to_string(), Value::from(c.as_str()))));
+        stands(table, BTreeMap::new(), f64::INFINITY, &[])
+    };
+    let swapped = || stands(table("swapped_channels", sensor), BTreeMap::new(), f64::INFINITY, &[]);
+    match matrix {
+        [[a, _], _] if a < 0.0 => vec![polarity(components.first())],
+        [_, [_, d]] if d < 0.0 => vec![polarity(components.get(1))],
+        [[_, b], _] if b > 0.0 => vec![swapped()],
+        _ => vec![swapped(), polarity(None)],
+    }
+}
+
+fn table(kind: &str, sensor: &str) -> Table {
+    Table::from_iter([("kind".to_string(), Value::from(kind)), ("sensor".to_string(), Value::from(sensor))])
+}
+
+/// The effect of `KINDS[kind]` at `sensor`; `all_late` where it makes all output sensors late against the input sensor.
+fn effect(kind: usize, sensor: &str, error: Error, all_late: bool) -> Standing {
+    let [name, parameter, unit] = KINDS[kind];
+    let error = Error { deviation: error.deviation.hypot(FIELD[kind]), ..error };
+    let in_unit = |x: f64| if kind == 3 { x.to_degrees() } else { x };
+    let turned = if kind == 3 { (error.value + PI).rem_euclid(TAU) - PI } else { error.value };
+    let [low, value, high] = [-TWO_SIDED, 0.0, TWO_SIDED].map(|s| in_unit(turned + s * error.deviation));
+    let mut table = table(name, sensor);
+    table.insert(parameter.into(), Value::Float(value));
+    let estimate = Estimate { value, unit: unit.into(), ci95: [low, high] };
+    let mut alike = Vec::new();
+    if name == "clock_offset" {
+        alike.extend(["clock_offset", "instrument_low_pass"]);
+        // A compliant base delays every output sensor against what is declared to shake it.
+        if all_late {
+            alike.push(BASE);
+        }
+    }
+    let deviations = error.value / error.deviation.max(f64::MIN_POSITIVE);
+    stands(table, BTreeMap::from([(parameter.to_string(), estimate)]), deviations * deviations, &alike)
+}
+
+fn stands(table: Table, parameters: BTreeMap<String, Estimate>, gain: f64, alike: &[&str]) -> Standing {
+    let kind = table.get("kind").and_then(Value::as_str).unwrap_or_default().to_string();
+    let found = Found {
+        target: effects::place(&table),
+        kind,
+        class: Class::Sensor,
+        table,
+        parameters,
+        gain,
+        validation_gain: 0.0,
+        is_standing: true,
+    };
+    Standing { found, alike: alike.iter().map(ToString::to_string).collect(), why: PASSED }
+}
+
+/// Wrong labels and signs that stand by how the declared model fits.
+pub fn labels(suspicion: Suspicion) -> Vec<Standing> {
+    let of = |table| Standing { why: LABELS, ..stands(table, BTreeMap::new(), f64::INFINITY, &[]) };
+    suspicion.tables.into_iter().map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_all_outputs_share_is_the_input_sensors() {
+        let error = |value| Error { value, deviation: 0.01 };
+        let of = |values: &[f64]| shared(&values.iter().map(|v| error(*v)).collect::<Vec<_>>(), 0.01).map(|e| e.value);
+        assert_eq!(of(&[0.3]), None, "one output sensor cannot tell");
+        assert_eq!(of(&[0.3, 0.3, 0.32]), Some(0.3));
+        assert_eq!(of(&[0.3, 0.0, 0.01]), None);
+        assert_eq!(of(&[0.3, 0.0]), None);
+        assert_eq!(of(&[0.3, 0.3, 0.6]), Some(0.3));
+    }
+
+    #[test]
+    fn reflections_become_labels_and_signs_that_make_them() {
+        let components = ["NS", "EW"].map(String::from);
+        for matrix in
+            [[[-1.0, 0.0], [0.0, 1.0]], [[1.0, 0.0], [0.0, -1.0]], [[0.0, 1.0], [1.0, 0.0]], [[0.0, -1.0], [-1.0, 0.0]]]
+        {
+            let tables: Vec<Table> =
+                reflection(&components, "top", matrix).into_iter().map(|s| s.found.table).collect();
+            let effects = effects::build_all(&tables).unwrap();
+            let place = effects::Place { sensor: "top", components: &components };
+            let made = effects::operator(&effects, &place, 1.0).unwrap().0;
+            assert_eq!(made.map(|row| row.map(|v| v.re)), matrix);
+        }
+    }
+}
