@@ -227,7 +227,7 @@ const KINDS: [[&str; 3]; 4] = [
 /// One output sensor tells no more than its error less that of the input sensor: it is then put down to the output sensor.
 /// What most of several output sensors share is put down to the input sensor.
 ///
-/// Limits: waves that come aslant or run along the surface are in [`FIELD`] only; at a low-pass or a base that lets waves out, motions are late at low frequencies as if a clock were wrong.
+/// Limits: waves that come aslant or run along the surface are in `FIELD` only; at a low-pass or a base that lets waves out, motions are late at low frequencies as if a clock were wrong.
 /// Check:  `what_all_outputs_share_is_the_input_sensors`.
 pub fn standing(problem: &Problem, settings: &DiagnoseSettings) -> Vec<Standing> {
     let passed = passed(problem, settings.band_hz[0]);
