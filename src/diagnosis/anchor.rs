@@ -1,7 +1,11 @@
 //! Replays of the nonlinear column as the point from which the fast column extrapolates.
 
+use super::followed::place;
+use super::operators::Operators;
 use super::responses::{InputSensor, RecordResponse, Responses, Scene};
+use super::secants::Secants;
 use super::spectra::SMOOTH_HZ;
+use crate::effects::Effect;
 use realfft::num_complex::Complex;
 
 type C64 = Complex<f64>;
@@ -18,32 +22,29 @@ const FACTOR: [f64; 2] = [0.33, 3.0];
 /// exact at the anchor a; ⟨⟩ is a mean over neighbouring bins. Where the fast column is nearly silent, K would be a
 /// quotient of two small numbers; the mean and the second part of (1) keep that from mattering.
 ///
-/// From the anchor before, a step Δ away, (1) had been wrong by D = V_FE(a) − V_before(a). It goes on being wrong in that
-/// direction, which the second replay has paid for:
-///
-/// ```text
-/// V(θ) += D · Δᵀ(θ − a) / |Δ|²                                          (2)
-/// ```
+/// From the anchors before, (1) had been wrong by what the replays of the steps between them have told; it goes on being wrong
+/// along these steps.
 ///
 /// Where θ says that the input sensor is not what it was at a, the second part of (1) follows the true input u,
 ///
 /// ```text
-/// rest → rest · ⟨u(θ) u(a)*⟩ / ⟨|u(a)|²⟩                               (3)
+/// rest → rest · ⟨u(θ) u(a)*⟩ / ⟨|u(a)|²⟩                               (2)
 /// ```
 ///
 /// or a gain or a clock that all sensors share, which no record can tell, would seem to matter.
 ///
-/// Limits: (2) holds along the last step only, and no farther than its length.
-/// Check:  `a_second_anchor_knows_the_error_of_the_first_along_the_step`.
-/// Source: Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6, for (2).
+/// Limits: of an input sensor that is turned, (2) follows what the components share; the rest is left to the fast column.
+/// Check:  `a_late_input_turns_what_the_anchor_adds`; `errors_of_a_linear_model_are_known_wherever_steps_have_gone`.
 #[derive(Clone)]
 pub struct Anchor {
     /// By group and record; `None` without a replay, where the fast column stands alone.
     pub records: Vec<Vec<Option<RecordAnchor>>>,
-    /// Unknowns of the anchor.
+    /// Its [`place`].
     at: Vec<f64>,
-    /// Step from the anchor before, over its squared length; empty without one.
-    direction: Vec<f64>,
+    /// Number of effects there.
+    n_effect: usize,
+    /// What it knows from the anchors before.
+    pub(super) secants: Secants,
 }
 
 /// K and the second part of (1), `[bin][sensor]`.
@@ -53,20 +54,15 @@ pub struct RecordAnchor {
     pub factor: Vec<C64>,
     /// V_FE(a) − K · V_fast(a).
     pub rest: Vec<C64>,
-    /// D of (2); empty without an anchor before.
-    drift: Vec<C64>,
     /// True input at a, and the sensor that it was taken from.
     input: Vec<C64>,
     seen_by: InputSensor,
+    /// The soil of the anchor, as neighbours follow it.
+    deviations: Vec<f64>,
 }
 
 impl RecordAnchor {
-    /// The second part of (1) with (2), `amount` being its scalar product.
-    pub fn rest_at(&self, index: usize, amount: f64) -> C64 {
-        self.drift.get(index).map_or(self.rest[index], |d| self.rest[index] + d * amount)
-    }
-
-    /// The factor of (3) for the true `input` that the input sensor in the state `seen_by` stands for, by bin; empty where it
+    /// The factor of (2) for the true `input` that the input sensor in the state `seen_by` stands for, by bin; empty where it
     /// is one.
     pub fn turned(&self, input: &[C64], seen_by: &InputSensor, half: usize) -> Vec<C64> {
         if *seen_by == self.seen_by {
@@ -87,20 +83,27 @@ impl Anchor {
     /// The fast column alone.
     pub fn fast(scene: &Scene<'_>) -> Self {
         let none = |g: &super::spectra::Group| g.records.iter().map(|_| None).collect();
-        Self { records: scene.groups.iter().map(none).collect(), at: Vec::new(), direction: Vec::new() }
+        Self {
+            records: scene.groups.iter().map(none).collect(),
+            at: Vec::new(),
+            n_effect: 0,
+            secants: Secants::default(),
+        }
     }
 
     /// Compares `replays` at the unknowns `x` with the fast column's `responses` there.
     pub fn of(
         scene: &Scene<'_>,
         replays: &[Option<Vec<Vec<f64>>>],
-        x: &[f64],
+        (effects, x): (&[Box<dyn Effect>], &[f64]),
         responses: &Responses,
         before: Option<&Self>,
     ) -> Self {
-        let mut anchor = Self { at: x.to_vec(), ..Self::fast(scene) };
-        let step = before.map(|b| step(&b.at, x)).unwrap_or_default();
+        let mut anchor = Self { at: place(scene, effects, x), n_effect: effects.len(), ..Self::fast(scene) };
+        let mut errors: Vec<Vec<Vec<C64>>> =
+            scene.groups.iter().map(|g| g.records.iter().map(|_| Vec::new()).collect()).collect();
         for (g, group) in scene.groups.iter().enumerate() {
+            let half = smoothing(&group.frequencies_hz);
             for (r, record) in group.records.iter().enumerate() {
                 let (Some(Some(replayed)), Some(response)) = (replays.get(record.event), responses.records[g].get(r))
                 else {
@@ -108,41 +111,58 @@ impl Anchor {
                 };
                 let nonlinear: Vec<Vec<C64>> = replayed.iter().map(|x| scene.bins(g, r, x)).collect();
                 let mut own = compare(&group.frequencies_hz, &nonlinear, response);
-                if let Some((before, earlier)) = before.and_then(|b| Some((b, b.records[g][r].as_ref()?)))
-                    && !step.is_empty()
-                {
-                    let amount = before.amount(x);
-                    own.drift = (0..own.rest.len())
-                        .map(|i| {
-                            let factor = own.factor[i] - earlier.factor[i];
-                            factor * response.motion[i] + own.rest[i] - earlier.rest_at(i, amount)
-                        })
-                        .collect();
+                own.deviations = scene.deviations(effects, &scene.problem.events[record.event].situation, x);
+                if let Some((before, earlier)) = before.and_then(|b| Some((b, b.records[g][r].as_ref()?))) {
+                    let followed = before.followed(scene, effects, [g, r], x);
+                    let turned = earlier.turned(&response.input, &response.seen_by, half);
+                    let count = nonlinear.len();
+                    let error = |i: usize| {
+                        let (k, s) = (i / count, i % count);
+                        let rest = earlier.rest[i] + followed.get(i).copied().unwrap_or_default();
+                        let rest = turned.get(k).map_or(rest, |f| f * rest);
+                        nonlinear[s][k] - earlier.factor[i] * response.motion[i] - rest
+                    };
+                    errors[g][r] = (0..own.rest.len()).map(error).collect();
                 }
                 anchor.records[g][r] = Some(own);
             }
         }
-        anchor.direction = step;
+        if let Some(before) = before {
+            anchor.secants = before.secants.clone();
+            if before.n_effect == anchor.n_effect && before.at.len() == x.len() {
+                anchor.secants.push(before.at.iter().zip(&anchor.at).map(|(a, b)| b - a).collect(), errors);
+            }
+        }
         anchor
     }
 
-    /// The scalar product of (2) at `x`.
-    pub fn amount(&self, x: &[f64]) -> f64 {
-        if self.direction.len() != x.len() {
-            return 0.0;
+    /// The same for a twin of the scene, in which `truth` holds: its true inputs were those of the anchor, and its own records
+    /// tell them, with their noise.
+    pub fn heard_in(mut self, scene: &Scene<'_>, truth: &[Box<dyn Effect>]) -> Self {
+        let operators = Operators::new(scene, truth);
+        for (g, group) in self.records.iter_mut().enumerate() {
+            for (r, record) in group.iter_mut().enumerate() {
+                if let Some(record) = record {
+                    record.input = scene.true_input(truth, &operators, g, r);
+                    record.seen_by = scene.input_sensor(truth, &operators, g);
+                }
+            }
         }
-        let product: f64 = self.direction.iter().zip(x).zip(&self.at).map(|((d, x), a)| d * (x - a)).sum();
-        product.clamp(-1.0, 1.0)
+        self
     }
-}
 
-/// Δ/|Δ|² from `a` to `b`; empty where they are not of one model or the same.
-fn step(a: &[f64], b: &[f64]) -> Vec<f64> {
-    let squared: f64 = a.iter().zip(b).map(|(a, b)| (b - a) * (b - a)).sum();
-    if a.len() != b.len() || squared < 1e-6 {
-        return Vec::new();
+    /// What neighbours tell of the way of record `r` of group `g` from the anchor to the unknowns `x`, `[bin][sensor]`; empty where they tell
+    /// nothing.
+    pub fn followed(&self, scene: &Scene<'_>, effects: &[Box<dyn Effect>], [g, r]: [usize; 2], x: &[f64]) -> Vec<C64> {
+        let (Some(neighbours), Some(own)) = (&scene.neighbours, &self.records[g][r]) else { return Vec::new() };
+        let situation = &scene.problem.events[scene.groups[g].records[r].event].situation;
+        neighbours.moved([g, r], &own.deviations, &scene.deviations(effects, situation, x))
     }
-    a.iter().zip(b).map(|(a, b)| (b - a) / squared).collect()
+
+    /// What each step known counts on the way from the anchor to the unknowns `x`.
+    pub fn amounts(&self, scene: &Scene<'_>, effects: &[Box<dyn Effect>], x: &[f64]) -> Vec<f64> {
+        self.secants.weights(&self.at, &place(scene, effects, x))
+    }
 }
 
 /// Bins to either side of a smoothed one.
@@ -156,9 +176,9 @@ fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], response: &RecordRespo
     let mut anchor = RecordAnchor {
         factor: vec![C64::new(1.0, 0.0); n * count],
         rest: vec![C64::default(); n * count],
-        drift: Vec::new(),
         input: response.input.clone(),
         seen_by: response.seen_by,
+        deviations: Vec::new(),
     };
     for (s, nonlinear) in replayed.iter().enumerate() {
         let fast: Vec<C64> = (0..n).map(|k| motion[k * count + s]).collect();
@@ -182,21 +202,15 @@ mod tests {
     use crate::effects::Operator;
 
     #[test]
-    fn a_second_anchor_knows_the_error_of_the_first_along_the_step() {
-        let anchor = Anchor { records: Vec::new(), at: vec![1.0, 2.0], direction: step(&[0.0, 0.0], &[1.0, 2.0]) };
+    fn a_late_input_turns_what_the_anchor_adds() {
         let seen_by = InputSensor { source: 0, probes: [Operator::IDENTITY; 3] };
         let record = RecordAnchor {
             factor: Vec::new(),
             rest: vec![C64::new(1.0, 0.0)],
-            drift: vec![C64::new(0.0, 2.0)],
             input: vec![C64::new(0.0, 1.0), C64::new(2.0, 0.0)],
             seen_by,
+            deviations: Vec::new(),
         };
-        assert_eq!(anchor.amount(&[1.0, 2.0]), 0.0);
-        assert!((anchor.amount(&[1.5, 3.0]) - 0.5).abs() < 1e-12);
-        assert_eq!(anchor.amount(&[3.0, 1.0]), 0.0, "across the step nothing is known");
-        assert_eq!(anchor.amount(&[9.0, 9.0]), 1.0, "no farther than the step");
-        assert_eq!(record.rest_at(0, 0.5), C64::new(1.0, 1.0));
         assert!(record.turned(&record.input, &seen_by, 1).is_empty());
         let late = InputSensor { source: 1, ..seen_by };
         let factor = C64::new(0.6, -0.8);

@@ -28,32 +28,15 @@ pub fn whitened(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    (anchor, amount): (&Anchor, f64),
+    (anchor, x): (&Anchor, &[f64]),
     groups: &[usize],
 ) -> Vec<f64> {
     let whiten = |g: &usize| {
         let mut out = Vec::with_capacity(scene.groups[*g].n_residual());
-        each_bin(scene, effects, responses, (anchor, amount), *g, |bin| bin.whiten(&mut out));
+        each_bin(scene, effects, responses, (anchor, x), *g, |bin| bin.whiten(&mut out));
         out
     };
     groups.par_iter().map(whiten).collect::<Vec<Vec<f64>>>().concat()
-}
-
-/// What the cost comes to where the model is right and nothing but noise is left. Less than the number of residuals where the
-/// cost also distrusts the fast column.
-pub fn expected(
-    scene: &Scene<'_>,
-    effects: &[Box<dyn Effect>],
-    responses: &Responses,
-    (anchor, amount): (&Anchor, f64),
-    groups: &[usize],
-) -> f64 {
-    let of_group = |g: &usize| {
-        let mut sum = 0.0;
-        each_bin(scene, effects, responses, (anchor, amount), *g, |bin| sum += bin.expected());
-        sum
-    };
-    groups.par_iter().map(of_group).collect::<Vec<f64>>().iter().sum()
 }
 
 /// What is predicted and what was recorded in group `g`, `[record][sensor]`; interference is out of both.
@@ -61,14 +44,14 @@ pub fn pairs(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    (anchor, amount): (&Anchor, f64),
+    (anchor, x): (&Anchor, &[f64]),
     g: usize,
 ) -> Vec<Vec<Pair>> {
     let group = &scene.groups[g];
     let n_sensor = scene.problem.array.outputs.len();
     let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
     let mut rows = vec![empty; group.records.len() * n_sensor];
-    each_bin(scene, effects, responses, (anchor, amount), g, |bin| {
+    each_bin(scene, effects, responses, (anchor, x), g, |bin| {
         for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
             row.predicted.push(*predicted);
             row.measured.push(*measured);
@@ -82,7 +65,7 @@ fn each_bin(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    (anchor, amount): (&Anchor, f64),
+    (anchor, x): (&Anchor, &[f64]),
     g: usize,
     mut visit: impl FnMut(&mut Bin),
 ) {
@@ -101,6 +84,8 @@ fn each_bin(
     let half = smoothing(&group.frequencies_hz);
     let turned = |r: usize| anchor.records[g][r].as_ref().map_or(Vec::new(), |a| a.turned(&inputs[r], &seen_by, half));
     let turned: Vec<Vec<C64>> = (0..n_record).map(turned).collect();
+    let amounts = anchor.amounts(scene, effects, x);
+    let followed: Vec<Vec<C64>> = (0..n_record).map(|r| anchor.followed(scene, effects, [g, r], x)).collect();
     let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
     for (k, f) in group.frequencies_hz.iter().enumerate() {
@@ -123,11 +108,13 @@ fn each_bin(
                     let moved = inputs[q][k] - response.input[k];
                     let mut predicted = response.motion[at] + response.transfer[at] * moved;
                     let mut motion = response.transfer[at];
-                    if let Some(anchor) = &anchor.records[g][q] {
-                        motion *= anchor.factor[at];
-                        let rest = anchor.rest_at(at, amount);
-                        predicted = predicted * anchor.factor[at] + turned[q].get(k).map_or(rest, |f| f * rest);
+                    let mut rest = followed[q].get(at).copied().unwrap_or_default();
+                    if let Some(own) = &anchor.records[g][q] {
+                        motion *= own.factor[at];
+                        predicted *= own.factor[at];
+                        rest += own.rest[at] + anchor.secants.error(&amounts, [g, q], at);
                     }
+                    predicted += turned[q].get(k).map_or(rest, |f| f * rest);
                     predicted += arrival * inputs[q][k];
                     motion += arrival;
                     bin.predicted[row] += weight * predicted;
@@ -142,8 +129,8 @@ fn each_bin(
                     bin.measured[row] -= added[k];
                 }
                 bin.residual[row] = bin.measured[row] - bin.predicted[row];
-                bin.sensor_noise[row] = record.noise[source][k];
-                bin.noise[row] = record.noise[source][k] + record.distrust[source][k];
+                let propagated = scene.propagated.get(g).and_then(|g| g[r].get(k * n_sensor + s));
+                bin.noise[row] = record.noise[source][k] + propagated.copied().unwrap_or_default();
             }
         }
         for (p, record) in group.records.iter().enumerate() {
@@ -159,9 +146,7 @@ struct Bin {
     predicted: Vec<C64>,
     measured: Vec<C64>,
     residual: Vec<C64>,
-    /// With the distrust.
     noise: Vec<f64>,
-    sensor_noise: Vec<f64>,
     input_noise: Vec<f64>,
 }
 
@@ -173,30 +158,8 @@ impl Bin {
             measured: vec![C64::default(); n_row],
             residual: vec![C64::default(); n_row],
             noise: vec![1.0; n_row],
-            sensor_noise: vec![1.0; n_row],
             input_noise: vec![0.0; n_input],
         }
-    }
-
-    /// Expectation of |ρ|² under the noise of the sensors alone.
-    fn expected(&mut self) -> f64 {
-        let (model, n_input) = (self.model.clone(), self.input_noise.len());
-        let mut out = Vec::new();
-        let mut sum = 0.0;
-        for source in 0..self.residual.len() + n_input {
-            self.model.clone_from(&model);
-            for (i, r) in self.residual.iter_mut().enumerate() {
-                *r = match source.checked_sub(model.len()) {
-                    Some(p) => model[i][p] * self.input_noise[p].sqrt(),
-                    None if i == source => self.sensor_noise[i].sqrt().into(),
-                    None => C64::default(),
-                };
-            }
-            out.clear();
-            self.whiten(&mut out);
-            sum += out.iter().map(|r| r * r).sum::<f64>();
-        }
-        sum
     }
 
     /// Appends ρ of (1), real and imaginary parts; (2) for the first two inputs.
@@ -294,20 +257,6 @@ mod tests {
         bin.whiten(&mut rho);
         let cost: f64 = rho.iter().map(|v| v * v).sum();
         assert!((cost / expected - 1.0).abs() < 1e-12, "{cost} {expected}");
-    }
-
-    #[test]
-    fn noise_alone_is_expected_to_cost_two_for_each_row() {
-        let mut bin = Bin::new(2, 3);
-        bin.model[0] = vec![C64::new(2.0, 0.3), C64::new(0.2, 0.0)];
-        bin.model[2] = vec![C64::new(-1.0, 0.3), C64::new(0.0, 1.5)];
-        bin.input_noise = vec![0.7, 0.2];
-        bin.noise = vec![0.4, 1.0, 2.0];
-        bin.sensor_noise = bin.noise.clone();
-        assert!((bin.expected() - 6.0).abs() < 1e-9);
-        bin.sensor_noise[1] = 0.25;
-        bin.noise[1] = 1.0;
-        assert!((bin.expected() - 4.5).abs() < 1e-9);
     }
 
     #[test]

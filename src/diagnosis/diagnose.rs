@@ -1,24 +1,31 @@
 //! The whole diagnosis: declared model, recalibrated model, forward search, backward check, verdict.
 
 use super::anchor::Anchor;
+use super::centre::centre;
 use super::hygiene::suspicion;
 use super::outcome::{Candidate, Diagnosis, Thresholds};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
-use super::round::{Fitted, Ground, parameters};
+use super::round::{Fitted, Ground, Plain, parameters};
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::standing::{beside, decided, labels, standing, together};
-use super::unknowns::nuisances;
+use super::unknowns::{MAX_DEVIATIONS, nuisances};
 use super::verdict;
-use crate::effects;
-use crate::error::Result;
+use crate::effects::{self, Instance};
+use crate::error::{Error, Result};
 use crate::progress::Progress;
 
 /// Most steps of the recalibration, and after a new anchor.
 const STEPS: [usize; 2] = [12, 6];
 /// Most replays of a recalibration.
-const MAX_ANCHORS: usize = 6;
+const MAX_ANCHORS: usize = 10;
+/// Looks around, at least and at most: the first near the declared soil, the others at the recalibrated one.
+const LOOKS: [usize; 2] = [2, 3];
+/// Standard deviations by which costs exceed those of noise where the last of them is taken.
+const SURPRISE: f64 = 1.0;
+/// Replays that end a recalibration by being no better than the best one.
+const MAX_FAILURES: usize = 2;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -63,9 +70,35 @@ fn diagnose_rest(
         let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
         return together(labels, rest, problem, replay, settings);
     }
-    let search = Search::new(&scene, settings, Some(replay))?;
-    let path = search.walk(declared, thresholds, progress)?;
-    verdict::assemble(&search, &path, thresholds)
+    let plain = centre(&scene, replay, settings, &declared, progress)?;
+    let mut path = None;
+    for look in 1..=LOOKS[1] {
+        let centre = path.as_ref().map_or(&plain, |p: &Path| &p.recalibrated.train.x).clone();
+        scene.look_around(replay, settings, (&[], &centre), progress)?;
+        let found = Search::new(&scene, settings, Some(replay))?.recalibrated(&plain, &centre, progress)?;
+        let [train, validation] = found.recalibrated.surprise();
+        progress.note(&format!("recalibrated: {train:.1} and {validation:.1} standard deviations more than noise"));
+        path = Some(found);
+        if look >= LOOKS[0] && train.max(validation) < SURPRISE {
+            break;
+        }
+    }
+    let mut path = path.ok_or_else(|| Error::new("nothing was recalibrated"))?;
+    progress.start("diagnosis", settings.max_effects as u64);
+    for number in 1..=settings.max_effects {
+        let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, number, thresholds, progress)?;
+        progress.advance(1);
+        if !is_found {
+            break;
+        }
+        let corrected = &path.corrected;
+        scene.look_around(replay, settings, (&corrected.effects, corrected.x()), progress)?;
+        Search::new(&scene, settings, Some(replay))?.polish(&mut path, progress)?;
+        if path.corrected.excess() <= 0.0 {
+            break;
+        }
+    }
+    verdict::assemble(&Search::new(&scene, settings, Some(replay))?, &path, thresholds)
 }
 
 /// What a diagnosis went through.
@@ -84,74 +117,74 @@ pub(super) struct Path {
     pub first: Vec<Fitted>,
     /// What the corrected model was settled against.
     pub anchor: Anchor,
+    /// Declared nuisances but for the damping: an effect that is strong is seen from there, before nuisances have taken its place.
+    plain: Vec<f64>,
     /// Anchor of the best effect of the last round.
     confirmed: Option<Anchor>,
 }
 
 impl Search<'_> {
-    /// Declared, recalibrated, and as many rounds as raise alarms.
+    /// A round on `path`; whether it raised an alarm, and its best effect was added.
     ///
     /// # Errors
     /// When a replay is impossible.
-    pub(super) fn walk(
-        &self,
-        declared_anchor: Anchor,
-        thresholds: &Thresholds,
-        progress: &dyn Progress,
-    ) -> Result<Path> {
-        progress.start("diagnosis", 3 + self.settings.max_effects as u64);
-        let zero = vec![0.0; self.nuisances.len()];
-        let declared = self.settle(&[], &zero, &declared_anchor, None, 0)?;
-        progress.advance(1);
-        let (recalibrated, anchor) = self.recalibrated(&declared, &declared_anchor, progress)?;
-        progress.advance(1);
-        let mut path = Path {
-            declared,
-            recalibrated: recalibrated.clone(),
-            corrected: recalibrated,
-            accepted: Vec::new(),
-            candidates: Vec::new(),
-            first: Vec::new(),
-            anchor,
-            confirmed: None,
-        };
-        for number in 1..=self.settings.max_effects {
-            let fitted = self.fair_round(&mut path, number, &declared_anchor, progress)?;
-            progress.advance(1);
-            let Some(best) = fitted.first() else { break };
-            let is_kept = best.is_confirmed || self.replay.is_none();
-            if !is_kept || best.gain <= thresholds.gain || best.validation_gain <= thresholds.validation_gain {
-                break;
-            }
-            path.corrected = best.model.clone();
-            path.accepted.push(best.clone());
-            if let Some(confirmed) = path.confirmed.take() {
-                path.anchor = confirmed;
-            }
-            self.drop_needless(&mut path)?;
-            if path.corrected.excess() <= 0.0 {
-                break;
-            }
+    fn step(&self, path: &mut Path, number: usize, thresholds: &Thresholds, progress: &dyn Progress) -> Result<bool> {
+        let fitted = self.fair_round(path, number, progress)?;
+        let is_alarm =
+            |f: &&Fitted| f.is_confirmed && f.gain > thresholds.gain && f.validation_gain > thresholds.validation_gain;
+        let Some(best) = fitted.first().filter(is_alarm) else { return Ok(false) };
+        path.corrected = best.model.clone();
+        path.accepted.push(best.clone());
+        if let Some(confirmed) = path.confirmed.take() {
+            path.anchor = confirmed;
         }
-        progress.advance(1);
-        Ok(path)
+        Ok(true)
+    }
+
+    /// Fits the corrected model once more with the replays around it, and takes out what that makes needless.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    fn polish(&self, path: &mut Path, progress: &dyn Progress) -> Result<()> {
+        let (effects, x) = (path.corrected.effects.clone(), path.corrected.x().to_vec());
+        (path.corrected, path.anchor) = self.settled(&effects, &x, None, progress)?;
+        self.drop_needless(path)
+    }
+
+    /// Fits from `x`, replays, and fits again as long as that helps; `before` is an anchor it can learn from.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    fn settled(
+        &self,
+        effects: &[Instance],
+        x: &[f64],
+        before: Option<&Anchor>,
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let anchor = self.anchored(effects, x, before)?;
+        let start = self.settle(effects, x, &anchor, None, 0)?;
+        let fitted = self.settle(effects, x, &anchor, Some(&start), STEPS[0])?;
+        let best = Some((start, anchor.clone()));
+        self.replayed_until_settled(fitted, (best, &anchor), (MAX_ANCHORS, f64::INFINITY), progress)
     }
 
     /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be
     /// credited with what the base had only not found yet.
-    fn fair_round(
-        &self,
-        path: &mut Path,
-        number: usize,
-        declared_anchor: &Anchor,
-        progress: &dyn Progress,
-    ) -> Result<Vec<Fitted>> {
+    fn fair_round(&self, path: &mut Path, number: usize, progress: &dyn Progress) -> Result<Vec<Fitted>> {
+        let alone = self.scene.alone(self.settings)?;
+        let search = Search::new(&alone, self.settings, self.replay)?;
         let mut tries = 0;
         loop {
-            let from_declared = path.declared_with_effects(self, declared_anchor)?;
-            let at = if number == 1 { declared_anchor } else { &path.anchor };
-            let ground =
-                Ground { declared: Some((&from_declared, at)), base: path.corrected.clone(), anchor: &path.anchor };
+            let mut x = path.corrected.x().to_vec();
+            if path.accepted.is_empty() {
+                x[..self.nuisances.len()].copy_from_slice(&path.plain);
+            }
+            let effects = &path.corrected.effects;
+            let anchor = search.anchored(effects, &x, None)?;
+            let model = search.settle(effects, &x, &anchor, None, 0)?;
+            let plain = Some(Plain { search: &search, model, anchor });
+            let ground = Ground { plain, base: path.corrected.clone(), anchor: &path.anchor };
             let round = self.round(ground, progress)?;
             path.corrected = round.base;
             tries += 1;
@@ -188,8 +221,11 @@ impl Search<'_> {
             return Ok(None);
         }
         let base = &path.corrected;
-        let x = &best.model.x()[..base.x().len()];
-        let near = self.settle(&base.effects, x, &path.anchor, Some(base), STEPS[1])?;
+        let mut x = best.model.x()[..base.x().len()].to_vec();
+        if let Some((nuisance, value)) = self.tolerance(best) {
+            x[nuisance] = value.clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS);
+        }
+        let near = self.settle(&base.effects, &x, &path.anchor, Some(base), STEPS[1])?;
         let anchor = self.anchored(&base.effects, near.x(), Some(&path.anchor))?;
         let model = self.settle(&base.effects, near.x(), &anchor, Some(&near), STEPS[1])?;
         progress.note(&format!("base: {:.0} so far, {:.0} from the effect's nuisances", base.cost(), model.cost()));
@@ -197,46 +233,74 @@ impl Search<'_> {
         Ok(is_better.then_some((model, anchor)))
     }
 
-    /// Recalibrates, replays there, and recalibrates again, as long as that helps.
-    fn recalibrated(&self, declared: &Model, anchor: &Anchor, progress: &dyn Progress) -> Result<(Model, Anchor)> {
-        let fitted = self.settle(&[], declared.x(), anchor, Some(declared), STEPS[0])?;
-        if self.replay.is_none() {
-            return Ok((fitted, anchor.clone()));
-        }
-        let declared = Some((declared.clone(), anchor.clone()));
-        self.replayed_until_settled(fitted, declared, (MAX_ANCHORS, f64::INFINITY), progress)
+    /// The declared model, and recalibrated: a fit from the `centre`, a replay there, and again as long as that helps. `plain`
+    /// are the declared nuisances with the damping found for them.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    fn recalibrated(&self, plain: &[f64], centre: &[f64], progress: &dyn Progress) -> Result<Path> {
+        let zero = vec![0.0; self.nuisances.len()];
+        let declared = self.settle(&[], &zero, &self.anchored(&[], &zero, None)?, None, 0)?;
+        let before = self.anchored(&[], plain, None)?;
+        let (recalibrated, anchor) = self.settled(&[], centre, Some(&before), progress)?;
+        Ok(Path {
+            declared,
+            corrected: recalibrated.clone(),
+            recalibrated,
+            accepted: Vec::new(),
+            candidates: Vec::new(),
+            first: Vec::new(),
+            anchor,
+            plain: plain.to_vec(),
+            confirmed: None,
+        })
     }
 
-    /// Replays `wanted`, fits from there, and again as long as that helps, at most `most` times; gives up where the second
-    /// replay still costs more than twice what is at stake. `best` is what is known already.
+    /// Replays `wanted`, fits from there, and again as long as that helps, at most `most` times; gives up where a
+    /// replay still costs more than twice what is at stake and half of the one before. `best` is what is known already, `from` the anchor of `wanted`.
     ///
     /// # Errors
     /// When a replay is impossible.
     pub(super) fn replayed_until_settled(
         &self,
         mut wanted: Model,
-        mut best: Option<(Model, Anchor)>,
+        (mut best, from): (Option<(Model, Anchor)>, &Anchor),
         (most, at_stake): (usize, f64),
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
         let effects = wanted.effects.clone();
+        let mut failures = 0;
         for number in 0..most {
-            let next = self.anchored(&effects, wanted.x(), best.as_ref().map(|b| &b.1))?;
+            let next = self.anchored(&effects, wanted.x(), Some(best.as_ref().map_or(from, |b| &b.1)))?;
             let seen = self.settle(&effects, wanted.x(), &next, Some(&wanted), 0)?;
             let name = effects.last().map_or("recalibration", |e| e.kind);
-            progress.note(&format!("{name}: cost {:.0} expected, {:.0} found", wanted.cost(), seen.cost()));
+            progress.note(&format!(
+                "{name}: cost {:.0} + {:.0} expected, {:.0} + {:.0} found, {:.0} + {:.0} noise",
+                wanted.train.cost,
+                wanted.validation_cost(),
+                seen.train.cost,
+                seen.validation_cost(),
+                seen.expected[0],
+                seen.expected[1]
+            ));
             let before = best.as_ref().map_or(f64::INFINITY, |b| b.0.cost());
             if seen.cost() < before {
-                let is_done = seen.cost() > 0.995 * before || (number > 0 && seen.cost() > 2.0 * at_stake);
+                let is_done =
+                    seen.cost() > 0.995 * before || (number > 0 && seen.cost() > (2.0 * at_stake).max(0.5 * before));
                 wanted = self.settle(&effects, seen.x(), &next, Some(&seen), STEPS[1])?;
                 best = Some((seen, next));
+                failures = 0;
                 if is_done {
                     break;
                 }
-            } else if let Some((best, anchor)) = &best {
-                // The fast column promised what the nonlinear one does not keep: half the way.
-                let x: Vec<f64> = best.x().iter().zip(wanted.x()).map(|(a, b)| 0.5 * (a + b)).collect();
-                wanted = self.settle(&effects, &x, anchor, Some(best), 0)?;
+            } else if let Some((best, anchor)) = &mut best {
+                // Not what was promised: what this replay has told keeps the next step from going there.
+                anchor.secants.learn(&next.secants);
+                wanted = self.settle(&effects, best.x(), anchor, Some(best), STEPS[1])?;
+                failures += 1;
+                if failures == MAX_FAILURES {
+                    break;
+                }
             }
         }
         let Some((best, anchor)) = best else { return Ok((wanted, Anchor::fast(self.scene))) };
@@ -267,14 +331,6 @@ impl Search<'_> {
 }
 
 impl Path {
-    /// The effects so far with nuisances at their declared values.
-    fn declared_with_effects(&self, search: &Search<'_>, declared: &Anchor) -> Result<Model> {
-        let mut x = self.corrected.x().to_vec();
-        x[..search.nuisances.len()].fill(0.0);
-        let anchor = if self.accepted.is_empty() { declared } else { &self.anchor };
-        search.settle(&self.corrected.effects, &x, anchor, Some(&self.corrected), 0)
-    }
-
     fn note(&mut self, fitted: &[Fitted], round: usize) {
         let excess = self.recalibrated.excess().max(1.0);
         self.candidates.extend(fitted.iter().map(|f| {

@@ -4,6 +4,7 @@
 use super::anchor::Anchor;
 use super::coherence::{Trace, coherent};
 use super::cost::pairs;
+use super::followed::scaled;
 use super::generic::{GenericCorrection, Pair, fit};
 use super::independence::independence;
 use super::repeatable::partition;
@@ -74,13 +75,13 @@ pub(super) fn input_coherent_share(search: &Search<'_>, model: &Model) -> Option
 /// When the model's effects cannot be built.
 pub(super) fn evidence(search: &Search<'_>, model: &Model, anchor: &Anchor) -> Result<Evidence> {
     let (scene, array) = (search.scene, &search.scene.problem.array);
-    let effects = search.unknowns(&model.effects).build(&scene.problem.declared, model.x())?;
+    let unknowns = search.unknowns(&model.effects);
+    let effects = unknowns.build(&scene.problem.declared, model.x())?;
+    let x = scaled(scene, &unknowns, model.x())?;
     let mut found: Vec<(Split, usize, Vec<Pair>)> = Vec::new();
     for (groups, point) in [(&search.train, &model.train), (&search.validation, &model.validation)] {
         for g in groups {
-            for (r, row) in
-                pairs(scene, &effects, &point.responses, (anchor, anchor.amount(model.x())), *g).into_iter().enumerate()
-            {
+            for (r, row) in pairs(scene, &effects, &point.responses, (anchor, &x), *g).into_iter().enumerate() {
                 found.push((scene.groups[*g].split, scene.groups[*g].records[r].event, row));
             }
         }

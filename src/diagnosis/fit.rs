@@ -1,7 +1,8 @@
 //! Joint estimates of nuisances and effects: bounded Levenberg–Marquardt on whitened residuals and priors.
 
 use super::anchor::Anchor;
-use super::cost::{expected, whitened};
+use super::cost::whitened;
+use super::followed::scaled;
 use super::responses::{Responses, Scene};
 use super::unknowns::Unknowns;
 use crate::error::Result;
@@ -20,6 +21,21 @@ pub struct Point {
     pub residual: Vec<f64>,
     /// Σ|ρ|² plus the priors of the nuisances.
     pub cost: f64,
+}
+
+impl Point {
+    /// Σ|ρ|² over its number, no less than one.
+    pub fn level(&self) -> f64 {
+        let square: f64 = self.residual.iter().map(|r| r * r).sum();
+        (square / self.residual.len().max(1) as f64).max(1.0)
+    }
+
+    /// The cost with priors weighted by `level`.
+    fn tempered(&self, level: f64) -> f64 {
+        let square: f64 = self.residual.iter().map(|r| r * r).sum();
+        let tempered = square + level * (self.cost - square);
+        if tempered.is_finite() { tempered } else { f64::INFINITY }
+    }
 }
 
 /// Evaluates and fits against one anchor on some of the groups.
@@ -41,22 +57,14 @@ impl Fitter<'_> {
     pub fn at(&self, unknowns: &Unknowns<'_>, x: &[f64], near: Option<&Responses>) -> Result<Point> {
         let effects = unknowns.build(&self.scene.problem.declared, x)?;
         let responses = self.scene.responses(&effects, self.groups, near)?;
-        let residual = whitened(self.scene, &effects, &responses, (self.anchor, self.anchor.amount(x)), self.groups);
+        let scaled = scaled(self.scene, unknowns, x)?;
+        let residual = whitened(self.scene, &effects, &responses, (self.anchor, &scaled), self.groups);
         let prior: f64 = x[..unknowns.nuisances.len()].iter().map(|n| n * n).sum();
         let mut cost = residual.iter().map(|r| r * r).sum::<f64>() + prior;
         if !cost.is_finite() {
             cost = f64::INFINITY;
         }
         Ok(Point { x: x.to_vec(), responses, residual, cost })
-    }
-
-    /// The cost of `point` if only noise were left.
-    ///
-    /// # Errors
-    /// When an effect cannot be built.
-    pub fn expected(&self, unknowns: &Unknowns<'_>, point: &Point) -> Result<f64> {
-        let effects = unknowns.build(&self.scene.problem.declared, &point.x)?;
-        Ok(expected(self.scene, &effects, &point.responses, (self.anchor, 0.0), self.groups))
     }
 
     /// ∂ρ/∂x at `point` for the unknowns in `which`, column by column.
@@ -86,6 +94,12 @@ impl Fitter<'_> {
 
     /// Minimises the cost from `start`, at most `steps` accepted steps.
     ///
+    /// Where residuals are larger than noise, the model is not yet what it should be, and they say as much less of the nuisances:
+    ///
+    /// ```text
+    /// |ρ|² + λ |n|²,   λ = max(1, |ρ|²/N) where the step starts
+    /// ```
+    ///
     /// # Errors
     /// When the start cannot be evaluated.
     pub fn fit(&self, unknowns: &Unknowns<'_>, start: Point, steps: usize) -> Result<Point> {
@@ -94,7 +108,8 @@ impl Fitter<'_> {
         let mut lambda = 1e-3;
         for _ in 0..steps {
             let jacobian = self.jacobian(unknowns, &point, &all);
-            let (normal, gradient) = normal_equations(unknowns, &jacobian, &point);
+            let level = point.level();
+            let (normal, gradient) = normal_equations(unknowns, &jacobian, &point, level);
             let mut best: Option<Point> = None;
             for _ in 0..6 {
                 let Some(step) = damped_step(&normal, &gradient, lambda) else { break };
@@ -102,7 +117,7 @@ impl Fitter<'_> {
                 unknowns.clip(&mut x);
                 let trial = self.at(unknowns, &x, Some(&point.responses));
                 if let Ok(trial) = trial
-                    && trial.cost < point.cost
+                    && trial.tempered(level) < point.tempered(level)
                 {
                     best = Some(trial);
                     break;
@@ -110,7 +125,7 @@ impl Fitter<'_> {
                 lambda = (lambda * 10.0f64).max(1e-3);
             }
             let Some(next) = best else { break };
-            let gain = point.cost - next.cost;
+            let gain = point.tempered(level) - next.tempered(level);
             point = next;
             lambda = (lambda * 0.1f64).max(1e-7);
             if gain < 0.3 + 1e-5 * point.cost {
@@ -125,7 +140,7 @@ impl Fitter<'_> {
         let widened = level.max(1.0).sqrt();
         let all: Vec<usize> = (0..unknowns.len()).collect();
         let jacobian = self.jacobian(unknowns, point, &all);
-        let (normal, _) = normal_equations(unknowns, &jacobian, point);
+        let (normal, _) = normal_equations(unknowns, &jacobian, point, level.max(1.0));
         match normal.llt(Side::Lower) {
             Ok(factor) => {
                 let inverse = factor.solve(Mat::<f64>::identity(normal.nrows(), normal.nrows()));
@@ -141,14 +156,14 @@ pub(super) fn difference(moved: &Point, point: &Point, step: f64) -> Vec<f64> {
     moved.residual.iter().zip(&point.residual).map(|(a, b)| (a - b) / step).collect()
 }
 
-/// JᵀJ + P and −(Jᵀρ + P x), P the prior precision of the nuisances.
-fn normal_equations(unknowns: &Unknowns<'_>, jacobian: &Mat<f64>, point: &Point) -> (Mat<f64>, Vec<f64>) {
+/// JᵀJ + P and −(Jᵀρ + P x), P the prior precision of the nuisances times `level`.
+fn normal_equations(unknowns: &Unknowns<'_>, jacobian: &Mat<f64>, point: &Point, level: f64) -> (Mat<f64>, Vec<f64>) {
     let mut normal = gram(jacobian, jacobian);
     let mut gradient = project(jacobian, &point.residual);
     for i in 0..unknowns.len() {
         if i < unknowns.nuisances.len() {
-            normal[(i, i)] += 1.0;
-            gradient[i] += point.x[i];
+            normal[(i, i)] += level;
+            gradient[i] += level * point.x[i];
         } else {
             // An effect that has no influence here must not make the matrix singular.
             normal[(i, i)] += 1e-9;
@@ -174,8 +189,12 @@ fn damped_step(normal: &Mat<f64>, gradient: &[f64], lambda: f64) -> Option<Vec<f
     for i in 0..damped.nrows() {
         damped[(i, i)] *= 1.0 + lambda;
     }
-    let factor = damped.llt(Side::Lower).ok()?;
-    let step = factor.solve(Mat::from_fn(gradient.len(), 1, |i, _| gradient[i]));
-    let step: Vec<f64> = (0..gradient.len()).map(|i| step[(i, 0)]).collect();
-    step.iter().all(|s| s.is_finite()).then_some(step)
+    solved(&damped, gradient)
+}
+
+/// x of A x = b for a positive definite A.
+pub(super) fn solved(a: &Mat<f64>, b: &[f64]) -> Option<Vec<f64>> {
+    let solution = a.llt(Side::Lower).ok()?.solve(Mat::from_fn(b.len(), 1, |i, _| b[i]));
+    let solution: Vec<f64> = (0..b.len()).map(|i| solution[(i, 0)]).collect();
+    solution.iter().all(|x| x.is_finite()).then_some(solution)
 }

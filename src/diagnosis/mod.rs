@@ -1,13 +1,15 @@
 //! Which effect does the declared model lack? Recalibration within tolerances, search over a catalogue of named effects,
 //! confirmation with the nonlinear column, choice on validation events, and honest silence.
 //!
-//! The search runs on a linear-equivalent column in the frequency domain ([`FastColumn`]) anchored at replays of the
-//! finite-element column: residuals come from the latter, derivatives from the former. Noise of the input sensor is in the
-//! cost, which therefore knows that a residual at a resonance of the column is worth little. Declared tolerances are
-//! nuisances of every test: only what they cannot explain may be called an effect, and the alarm thresholds are those
-//! of null twins of the same array.
+//! Residuals come from replays of the finite-element column. What a change of the soil within its tolerances does to them is
+//! told by replays around the estimate, what an effect does by a linear-equivalent column in the frequency domain
+//! ([`FastColumn`]) that replays anchor; each further replay corrects both along the steps taken. Noise of the input sensor is in
+//! the cost, which therefore knows that a residual at a resonance of the column is worth little, and so is what a yielding
+//! column makes of that noise. Declared tolerances are nuisances of every test: only what they cannot explain may be called an
+//! effect, and the alarm thresholds are those of null twins of the same array.
 
 mod anchor;
+mod centre;
 mod coherence;
 mod comparison;
 mod cost;
@@ -17,23 +19,27 @@ mod evidence;
 mod fast_column;
 mod fit;
 mod floor;
+mod followed;
 mod generic;
 mod hygiene;
 mod independence;
 mod interference;
 mod line;
 mod low_frequency;
+mod neighbours;
 mod noise;
 mod null_twins;
 mod operators;
 mod outcome;
 mod power;
 mod problem;
+mod propagated;
 mod repeatable;
 mod responses;
 mod round;
 mod screen;
 mod search;
+mod secants;
 mod settings;
 mod simulated;
 mod spectra;
@@ -53,7 +59,7 @@ pub use floor::noise_deviation_m_s2;
 pub use generic::{GenericCorrection, Pair, fit as fit_generic};
 pub use hygiene::{Shot, Suspicion, hygiene};
 pub use independence::{Independence, independence};
-pub use noise::noise;
+pub use noise::{denoised, noise, noisier};
 pub use null_twins::{drawn, thresholds};
 pub use outcome::{
     Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
@@ -67,4 +73,4 @@ pub use settings::DiagnoseSettings;
 pub use simulated::Disturbance;
 pub use standing::{Standing, standing};
 pub use tuning::Tuning;
-pub use unknowns::{Nuisance, nuisances};
+pub use unknowns::{Nuisance, nuisance_tables, nuisances};

@@ -3,9 +3,15 @@
 use super::problem::NoiseSpectrum;
 use crate::metrics::{median, rms};
 use crate::numerics::filter;
+use crate::numerics::random;
 use crate::records::Record;
+use rand::Rng;
+use rand_distr::{Distribution, StandardNormal};
 use realfft::RealFftPlanner;
+use realfft::num_complex::Complex;
 use std::f64::consts::PI;
+
+type C64 = Complex<f64>;
 
 /// Shortest quiet stretch before the event that tells noise, s.
 const QUIET_S: f64 = 4.0;
@@ -98,6 +104,61 @@ fn averaged(x: &[f64], dt_s: f64) -> NoiseSpectrum {
     NoiseSpectrum { step_hz: 1.0 / (length as f64 * dt_s), power: (0..power.len()).map(smooth).collect() }
 }
 
+/// The motion behind the samples `x` of a sensor with this `noise`: every frequency by the share of its power that is not noise.
+///
+/// ```text
+/// X(f) → X(f) · max(0, 1 − S(f)/P(f)),   P the density of x as in (1)       (2)
+/// ```
+///
+/// Beyond the band of the shaking next to nothing is left. A law that yields at the smallest reversal would answer to that
+/// noise as if it were shaking, and not in proportion.
+///
+/// Limits: one density for the whole record.
+/// Check:  `noise_beyond_the_band_goes_and_the_motion_stays`.
+/// Source: Wiener (1949), Extrapolation, Interpolation and Smoothing of Stationary Time Series.
+pub fn denoised(x: &[f64], dt_s: f64, noise: &NoiseSpectrum) -> Vec<f64> {
+    let power = averaged(x, dt_s);
+    filter::zero_phase(x, dt_s, |f| kept(noise, &power, f))
+}
+
+/// The factor of (2).
+fn kept(noise: &NoiseSpectrum, power: &NoiseSpectrum, frequency_hz: f64) -> f64 {
+    (1.0 - noise.at(frequency_hz) / power.at(frequency_hz).max(f64::MIN_POSITIVE)).max(0.0)
+}
+
+/// `x` with noise of this density and `seed` added, [`denoised`] as `x` alone would be.
+pub fn noisier(x: &[f64], dt_s: f64, noise: &NoiseSpectrum, seed: &str) -> Vec<f64> {
+    let power = averaged(x, dt_s);
+    let added = drawn(noise, x.len(), dt_s, &mut random::stream(0, seed));
+    let sum: Vec<f64> = x.iter().zip(added).map(|(x, n)| x + n).collect();
+    filter::zero_phase(&sum, dt_s, |f| kept(noise, &power, f))
+}
+
+/// A Gaussian history of this density.
+pub(super) fn drawn(spectrum: &NoiseSpectrum, n: usize, dt_s: f64, random: &mut impl Rng) -> Vec<f64> {
+    let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
+    let mut bins = plan.make_input_vec();
+    let last = bins.len() - 1;
+    for (k, bin) in bins.iter_mut().enumerate() {
+        let power = spectrum.at(k as f64 / (n as f64 * dt_s)) * n as f64 / (2.0 * dt_s);
+        *bin = normal(random) * power.sqrt();
+        if k == 0 || (k == last && n.is_multiple_of(2)) {
+            *bin = C64::new(bin.re * std::f64::consts::SQRT_2, 0.0);
+        }
+    }
+    let mut out = vec![0.0; n];
+    if plan.process(&mut bins, &mut out).is_err() {
+        return out;
+    }
+    out.iter().map(|x| x / n as f64).collect()
+}
+
+/// A complex number of unit variance.
+pub(super) fn normal(random: &mut impl Rng) -> C64 {
+    let mut draw = || -> f64 { StandardNormal.sample(random) };
+    C64::new(draw(), draw()) * std::f64::consts::FRAC_1_SQRT_2
+}
+
 fn beyond_the_band(x: &[f64], dt_s: f64) -> NoiseSpectrum {
     let (mut found, length) = segments(x, dt_s);
     let [first, last] = EMPTY_BAND.map(|share| (share * (length / 2) as f64) as usize);
@@ -134,6 +195,19 @@ mod tests {
             acceleration_m_s2: noise[s].iter().enumerate().map(|(i, v)| v + motion(i, 1.0 + s as f64)).collect(),
         };
         Record { event: "E".into(), component: "EW".into(), dt_s: DT_S, input: sensor(0), outputs: vec![sensor(1)] }
+    }
+
+    #[test]
+    fn noise_beyond_the_band_goes_and_the_motion_stays() {
+        let n = 4000;
+        let noise: Vec<f64> = white(n, "denoised").into_iter().map(|v| 0.05 * v).collect();
+        let clean = record(0.0, &[vec![0.0; n], vec![0.0; n]]).input.acceleration_m_s2;
+        let noisy: Vec<f64> = clean.iter().zip(&noise).map(|(x, v)| x + v).collect();
+        let found = denoised(&noisy, DT_S, &NoiseSpectrum::white(0.05, DT_S));
+        let error: Vec<f64> = found.iter().zip(&clean).map(|(a, b)| a - b).collect();
+        assert!(rms(&error) < 0.5 * rms(&noise), "{} of {}", rms(&error), rms(&noise));
+        let beyond = |x: &[f64]| rms(&filter::zero_phase(x, DT_S, |f| if f > 15.0 { 1.0 } else { 0.0 }));
+        assert!(beyond(&found) < 0.35 * beyond(&noise), "{} of {}", beyond(&found), beyond(&noise));
     }
 
     #[test]
@@ -195,5 +269,14 @@ mod tests {
         let silent = vec![vec![0.0; 300]; 2];
         assert!(super::noise(&record(0.0, &silent)).iter().all(|s| s.at(3.0).is_finite()));
         assert_eq!(super::noise(&record(9.0, &silent)).len(), 2);
+    }
+
+    #[test]
+    fn drawn_noise_has_its_density() {
+        let white = NoiseSpectrum::white(0.02, 0.01);
+        let x = drawn(&white, 20_000, 0.01, &mut random::stream(3, "test"));
+        let rms = (x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64).sqrt();
+        assert!((rms / 0.02 - 1.0).abs() < 0.02, "{rms}");
+        assert!((white.at(3.3) * 0.5 / 0.01 - 4e-4).abs() < 1e-12);
     }
 }

@@ -1,6 +1,7 @@
 //! Alarm thresholds from null twins: what the search finds in this very array when there is nothing to find.
 
 use super::anchor::Anchor;
+use super::centre::centre;
 use super::outcome::Thresholds;
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
@@ -8,7 +9,7 @@ use super::round::Ground;
 use super::search::Search;
 use super::settings::DiagnoseSettings;
 use super::simulated::Disturbance;
-use super::unknowns::{Nuisance, nuisances};
+use super::unknowns::{Nuisance, nuisance_tables, nuisances};
 use crate::effects;
 use crate::error::{Error, Result};
 use crate::numerics::random;
@@ -16,7 +17,7 @@ use crate::progress::{Progress, Quiet};
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
 
-/// Effects fitted in a null twin: the search there starts from the truth's neighbourhood and needs fewer.
+/// Effects fitted in a null twin: the search there starts from the truth and needs fewer.
 const FINALISTS: usize = 3;
 /// Steps of a null twin's recalibration.
 const STEPS: usize = 15;
@@ -27,10 +28,10 @@ const LEAST_DEVIATIONS: f64 = 3.0;
 /// from the declared model within the tolerances only. The most favourable effect of the whole catalogue is in the
 /// statistic, so the number of effects tried is accounted for.
 ///
-/// Twins come from the fast column. What the nonlinear column does beyond it at the declared values is replayed once: it is
-/// distrusted here as in a diagnosis, and a random share of it is an error of every twin.
+/// Twins come from replays of the nonlinear column around the declared values; without a replay, from the fast column.
 ///
-/// Limits: a twin is recalibrated against the fast column that made it, up to that error.
+/// Limits: a twin is recalibrated from its truth and between the replays that made it: thresholds hold noise and tolerances, not
+/// what a recalibration with replays leaves.
 /// Check:  `tests/diagnosis.rs`: fresh null twins stay below.
 ///
 /// # Errors
@@ -42,12 +43,16 @@ pub fn thresholds(
     progress: &dyn Progress,
 ) -> Result<Thresholds> {
     let mut scene = Scene::new(problem, settings)?;
-    let declared = scene.declared(replay, nuisances(problem)?.len())?;
+    let mut anchor = scene.declared(replay, nuisances(problem)?.len())?;
+    if let Some(replay) = replay {
+        let centre = centre(&scene, replay, settings, &anchor, progress)?;
+        anchor = scene.look_around(replay, settings, (&[], &centre), progress)?;
+    }
     progress.start("null twins", settings.null_twins as u64);
     let outcomes: Vec<Option<Null>> = (0..settings.null_twins)
         .into_par_iter()
         .map(|index| {
-            let null = null(&scene, &declared, settings, random_seed(settings.seed, index));
+            let null = null(&scene, &anchor, settings, random_seed(settings.seed, index));
             progress.advance(1);
             null.ok()
         })
@@ -66,7 +71,7 @@ pub fn thresholds(
     let share = 1.0 - settings.false_alarm_share;
     let charge = Search::new(&scene, settings, None)?.charge();
     Ok(Thresholds {
-        gain: quantile(&gains, share).max(0.0),
+        gain: quantile(&gains, share).max(charge),
         validation_gain: 0.5 * charge,
         excess: quantile(&rising(|n| n.excess), share).max(3.0),
         deviations: quantile(&rising(|n| n.deviations), share).max(LEAST_DEVIATIONS),
@@ -82,19 +87,24 @@ struct Null {
     deviations: f64,
 }
 
-fn null(scene: &Scene<'_>, declared: &Anchor, settings: &DiagnoseSettings, seed: u64) -> Result<Null> {
+fn null(scene: &Scene<'_>, centre: &Anchor, settings: &DiagnoseSettings, seed: u64) -> Result<Null> {
     let nuisances = nuisances(scene.problem)?;
-    let truth = effects::build_all(&drawn(&nuisances, seed))?;
-    let disturbance = Disturbance { seed: Some(seed), model_error: settings.model_error, beyond: Some(declared) };
+    let deviations = drawn(&nuisances, seed);
+    let is_followed = scene.neighbours.is_some();
+    let seen = nuisances.iter().zip(&deviations).map(|(n, x)| if is_followed && n.is_shaken { 0.0 } else { *x });
+    let seen: Vec<f64> = seen.collect();
+    let truth = effects::build_all(&nuisance_tables(&nuisances, &seen))?;
+    let disturbance =
+        Disturbance { seed: Some(seed), model_error: settings.model_error, deviations: Some(&deviations) };
     let problem = scene.simulated(&truth, disturbance)?;
-    let mut twin = scene.sharing(&problem, settings)?;
-    twin.distrust(declared);
+    let twin = scene.sharing(&problem, settings)?;
     let few = DiagnoseSettings { finalists: FINALISTS, ..settings.clone() };
     let search = Search::new(&twin, &few, None)?;
-    let anchor = Anchor::fast(&twin);
-    let zero = vec![0.0; nuisances.len()];
-    let base = search.settle(&[], &zero, &anchor, None, STEPS)?;
-    let round = search.round(Ground { declared: None, base, anchor: &anchor }, &Quiet)?;
+    let anchor = if is_followed { centre.clone() } else { Anchor::fast(&twin) };
+    let anchor = &anchor.heard_in(&twin, &truth);
+    // From the truth: what is measured is what noise and tolerances look like, not how far the way to them is.
+    let base = search.settle(&[], &deviations, anchor, None, STEPS)?;
+    let round = search.round(Ground { plain: None, base, anchor }, &Quiet)?;
     let n = round.base.expected[1];
     Ok(Null {
         gain: round.fitted.first().map_or(0.0, |f| f.gain),
@@ -103,10 +113,10 @@ fn null(scene: &Scene<'_>, declared: &Anchor, settings: &DiagnoseSettings, seed:
     })
 }
 
-/// `[[effects]]` of nuisances drawn from their priors.
-pub fn drawn(nuisances: &[Nuisance], seed: u64) -> Vec<toml::Table> {
+/// Nuisances drawn from their priors, in prior standard deviations.
+pub fn drawn(nuisances: &[Nuisance], seed: u64) -> Vec<f64> {
     let mut random = random::stream(seed, "null twin");
-    nuisances.iter().map(|n| n.table(StandardNormal.sample(&mut random))).collect()
+    nuisances.iter().map(|_| StandardNormal.sample(&mut random)).collect()
 }
 
 fn random_seed(seed: u64, index: usize) -> u64 {

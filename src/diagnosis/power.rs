@@ -74,7 +74,7 @@ pub struct Power {
 /// When the declared column cannot be built or an event is unusable.
 pub fn power(problem: &Problem, settings: &DiagnoseSettings, thresholds: Option<&Thresholds>) -> Result<Power> {
     let recorded = Scene::new(problem, settings)?;
-    let quiet = recorded.simulated(&[], Disturbance { seed: None, model_error: 0.0, beyond: None })?;
+    let quiet = recorded.simulated(&[], Disturbance { seed: None, model_error: 0.0, deviations: None })?;
     let scene = recorded.sharing(&quiet, settings)?;
     let search = Search::new(&scene, settings, None)?;
     let anchor = Anchor::fast(&scene);

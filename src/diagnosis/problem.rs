@@ -81,4 +81,12 @@ pub trait Replay: Sync {
     /// # Errors
     /// When the column cannot be built or no event finishes.
     fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>>;
+
+    /// The same with noise of the input sensor drawn and added to its records; who has no noise to draw replays as before.
+    ///
+    /// # Errors
+    /// As [`Replay::replay`].
+    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.replay(effects)
+    }
 }

@@ -1,10 +1,11 @@
 //! Columns under effects: one linear-equivalent column for each situation, responses of every record at its bins.
 
-use super::anchor::{Anchor, smoothing};
 use super::curves::Curves;
 use super::fast_column::{FastColumn, Grid, March, element_count};
+use super::neighbours::Neighbours;
 use super::operators::Operators;
 use super::problem::Problem;
+use super::propagated::Propagated;
 use super::settings::DiagnoseSettings;
 use super::spectra::{self, Group};
 use super::tuning::Tuning;
@@ -21,8 +22,6 @@ type C64 = Complex<f64>;
 
 /// Effective strain over the largest strain.
 const EFFECTIVE: f64 = 0.7;
-/// Error of an extrapolation as a share of what the fast column misses at its anchor.
-pub(super) const DISTRUST: f64 = 0.3;
 /// Most iterations of the strains of the declared column, the share of a step that each takes in ln, and the relative change
 /// of every strain at which they end.
 const GROUND: (usize, f64, f64) = (40, 0.5, 1e-4);
@@ -44,6 +43,10 @@ pub struct Scene<'a> {
     ground: Arc<Vec<Vec<Vec<f64>>>>,
     /// By group and record.
     tuning: Arc<Vec<Vec<Tuning>>>,
+    /// Replays around the declared soil; without them the fast column stands for its nuisances and velocities too.
+    pub(super) neighbours: Option<Arc<Neighbours>>,
+    /// Noise of the outputs beyond that of the sensors; empty without replays.
+    pub(super) propagated: Arc<Propagated>,
 }
 
 /// Responses of the columns of all records.
@@ -96,6 +99,8 @@ impl<'a> Scene<'a> {
             band_hz: [settings.band_hz[0], high_hz],
             ground: Arc::default(),
             tuning: Arc::new(tuning),
+            neighbours: None,
+            propagated: Arc::default(),
         };
         scene.ground = Arc::new(scene.ground_strains()?);
         Ok(scene)
@@ -112,6 +117,8 @@ impl<'a> Scene<'a> {
             curves: self.curves.clone(),
             ground: self.ground.clone(),
             tuning: self.tuning.clone(),
+            neighbours: self.neighbours.clone(),
+            propagated: self.propagated.clone(),
             ..*self
         })
     }
@@ -181,23 +188,6 @@ impl<'a> Scene<'a> {
     pub fn bins(&self, g: usize, r: usize, history: &[f64]) -> Vec<C64> {
         let window = &self.groups[g].records[r].window;
         self.windowed(g, history.get(window.clone()).unwrap_or_default())
-    }
-
-    /// Counts what the fast column misses of the nonlinear one at `anchor` as an error of the motions, so that records which
-    /// it cannot follow do not lead the search.
-    pub fn distrust(&mut self, anchor: &Anchor) {
-        for (group, anchors) in self.groups.iter_mut().zip(&anchor.records) {
-            let half = smoothing(&group.frequencies_hz);
-            for (record, anchor) in group.records.iter_mut().zip(anchors) {
-                let Some(anchor) = anchor else { continue };
-                let count = record.noise.len() - 1;
-                for s in 0..count {
-                    let rest: Vec<C64> = anchor.rest.iter().skip(s).step_by(count).copied().collect();
-                    let power = spectra::smoothed(&rest, half);
-                    record.distrust[s + 1] = power.iter().map(|p| DISTRUST * DISTRUST * p).collect();
-                }
-            }
-        }
     }
 
     /// Indices of the groups of `split`.
@@ -274,12 +264,9 @@ impl<'a> Scene<'a> {
         Ok(Responses { records })
     }
 
+    /// The fast column's profile.
     fn profile(&self, effects: &[Box<dyn Effect>], situation: &Situation) -> Profile {
-        let mut profile = self.problem.array.profile.clone();
-        for effect in effects {
-            effect.edit(&mut profile, situation);
-        }
-        profile
+        self.edited(effects, situation).0
     }
 
     fn respond(

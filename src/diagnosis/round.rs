@@ -4,6 +4,7 @@ use super::anchor::Anchor;
 use super::line::hidden;
 use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
+use super::unknowns::Nuisance;
 use crate::effects::Instance;
 use crate::error::Result;
 use crate::progress::Progress;
@@ -14,7 +15,9 @@ const STEPS: [usize; 2] = [6, 8];
 /// Share of the best gain above which the runner-up is confirmed too.
 const CLOSE_SHARE: f64 = 0.7;
 /// Most replays of an effect to be confirmed.
-const REPLAYS: usize = 4;
+const REPLAYS: usize = 6;
+/// Prior standard deviations within which a declared value is what it was declared to be.
+const TOLERATED: f64 = 3.0;
 /// Effects weaker than this many prior standard deviations are not effects.
 const TRIVIAL: f64 = 0.05;
 
@@ -33,13 +36,15 @@ pub struct Fitted {
     pub is_confirmed: bool,
     /// Costs of the base on training and validation events where it was fitted.
     against: [f64; 2],
+    /// Whether it was fitted from the replay of the plain nuisances.
+    is_plain: bool,
 }
 
 /// A start of a fit: the instance, the unknowns, and which of two anchors.
 struct Start {
     instance: usize,
     x: Vec<f64>,
-    is_declared: bool,
+    is_plain: bool,
 }
 
 /// What a round found.
@@ -52,10 +57,21 @@ pub struct Round {
     pub anchor: Option<Anchor>,
 }
 
+/// Where large effects are looked for: at the nuisances before they could take the place of an effect, and on the fast column
+/// alone, because what replays around the base tell does not reach that far.
+pub struct Plain<'a> {
+    /// The search on the fast column.
+    pub search: &'a Search<'a>,
+    /// Plain nuisances with the effects found so far.
+    pub model: Model,
+    /// Its anchor.
+    pub anchor: Anchor,
+}
+
 /// The start of a round.
 pub struct Ground<'a> {
-    /// Declared values with the effects found so far, and its anchor: where large effects are screened; `None` skips it.
-    pub declared: Option<(&'a Model, &'a Anchor)>,
+    /// Where large effects are looked for; `None` skips it.
+    pub plain: Option<Plain<'a>>,
     /// The best model so far.
     pub base: Model,
     /// Its anchor.
@@ -68,56 +84,50 @@ impl Search<'_> {
     /// # Errors
     /// When a replay is impossible.
     pub fn round(&self, ground: Ground<'_>, progress: &dyn Progress) -> Result<Round> {
-        let Ground { declared, mut base, anchor } = ground;
+        let Ground { plain, mut base, anchor } = ground;
         let unknowns = self.unknowns(&base.effects);
         let open: Vec<Instance> = self.instances.iter().filter(|i| !is_taken(i, &base.effects)).cloned().collect();
         let mut starts: Vec<Start> = Vec::new();
-        let mut reference: Option<(Model, &Anchor)> = None;
-        if let Some((model, anchor)) = declared {
-            let (_, found) = screen(&self.fitter(anchor), &unknowns, &model.train, &open, Pass::Grid);
+        let mut reference: Option<Model> = None;
+        if let Some(Plain { search, model, anchor }) = &plain {
+            let alone = search.unknowns(&base.effects);
+            let (_, found) = screen(&search.fitter(anchor), &alone, &model.train, &open, Pass::Grid);
             let picked = self.picked(found, &open, self.settings.finalists).into_iter();
             starts.extend(picked.map(|s| Start {
                 instance: s.instance,
                 x: joined(model.x(), &s.start),
-                is_declared: true,
+                is_plain: true,
             }));
-            reference = Some((self.settle(&base.effects, model.x(), anchor, Some(model), STEPS[1])?, anchor));
+            reference = Some(search.settle(&base.effects, model.x(), anchor, Some(model), STEPS[1])?);
         }
         let (_, found) = screen(&self.fitter(anchor), &unknowns, &base.train, &open, Pass::Score);
         let few = self.settings.finalists.div_ceil(2) + 1;
         let picked = self.picked(found, &open, few).into_iter();
-        starts.extend(picked.map(|s| Start {
-            instance: s.instance,
-            x: joined(base.x(), &s.start),
-            is_declared: false,
-        }));
+        starts.extend(picked.map(|s| Start { instance: s.instance, x: joined(base.x(), &s.start), is_plain: false }));
         let fit = |start: &Start| {
             let instance = open[start.instance].clone();
             let mut effects = base.effects.clone();
             effects.push(instance.clone());
-            // What is fitted where the declared values were replayed is compared with the base fitted there.
-            let (near, anchor) = match &reference {
-                Some((model, anchor)) if start.is_declared => (model, *anchor),
-                _ => (&base, anchor),
+            // What is fitted at the plain nuisances is compared with the base fitted there.
+            let (search, near, anchor) = match (&plain, &reference) {
+                (Some(plain), Some(model)) if start.is_plain => (plain.search, model, &plain.anchor),
+                _ => (self, &base, anchor),
             };
-            let model = self.settle(&effects, &start.x, anchor, Some(near), STEPS[0]).ok()?;
+            let model = search.settle(&effects, &start.x, anchor, Some(near), STEPS[0]).ok()?;
             let against = [near.train.cost, near.validation_cost()];
-            Some((
-                start.is_declared,
-                Fitted { instance, model, gain: 0.0, validation_gain: 0.0, is_confirmed: false, against },
-            ))
+            let is_plain = start.is_plain;
+            Some(Fitted { instance, model, gain: 0.0, validation_gain: 0.0, is_confirmed: false, against, is_plain })
         };
-        let (declared, mut fitted): (Vec<_>, Vec<_>) =
-            starts.par_iter().filter_map(fit).collect::<Vec<_>>().into_iter().partition(|f| f.0);
-        let mut fitted: Vec<Fitted> = fitted.drain(..).map(|f| f.1).collect();
+        let (from_plain, mut fitted): (Vec<_>, Vec<_>) =
+            starts.par_iter().filter_map(fit).collect::<Vec<_>>().into_iter().partition(|f| f.is_plain);
         self.restart(&mut base, &fitted, anchor)?;
         for f in &mut fitted {
             f.against = [base.train.cost, base.validation_cost()];
         }
         let near_base = fitted.clone();
-        fitted.extend(declared.into_iter().map(|f| f.1));
+        fitted.extend(from_plain);
         self.judge(&mut fitted, &base);
-        let anchor = self.confirm(&mut fitted, near_base, &base, progress)?;
+        let anchor = self.confirm(&mut fitted, near_base, (&base, anchor, plain.as_ref()), progress)?;
         Ok(Round { base, fitted, anchor })
     }
 
@@ -190,10 +200,23 @@ impl Search<'_> {
         });
     }
 
+    /// The nuisance that is the same thing as this effect, and its value, prior standard deviations, that would replace both.
+    pub(super) fn tolerance(&self, fitted: &Fitted) -> Option<(usize, f64)> {
+        let same =
+            |n: &Nuisance| n.instance.kind == fitted.instance.kind && n.instance.target == fitted.instance.target;
+        let i = self.nuisances.iter().position(same)?;
+        let ([zero], x) = (&fitted.instance.zero()?[..], fitted.model.x()) else { return None };
+        Some((i, x[i] + (x.last()? - zero) / self.nuisances[i].deviation))
+    }
+
+    /// Whether the effect is as good as none, or no more than a declared tolerance allows.
     fn is_trivial(&self, fitted: &Fitted) -> bool {
         let Some(zero) = fitted.instance.zero() else { return false };
         let x = fitted.model.x();
         let own = &x[x.len() - zero.len()..];
+        if self.tolerance(fitted).is_some_and(|(_, x)| x.abs() < TOLERATED) {
+            return true;
+        }
         let free = &fitted.instance.free;
         free.iter()
             .zip(own)
@@ -208,21 +231,22 @@ impl Search<'_> {
         &self,
         fitted: &mut Vec<Fitted>,
         near_base: Vec<Fitted>,
-        base: &Model,
+        from: (&Model, &Anchor, Option<&Plain<'_>>),
         progress: &dyn Progress,
     ) -> Result<Option<Anchor>> {
         let mut anchors: Vec<(Instance, Anchor)> = Vec::new();
+        let base = from.0;
         if self.replay.is_none() {
             return Ok(None);
         }
-        self.replay_best(fitted, &mut anchors, base, progress)?;
+        self.replay_best(fitted, &mut anchors, from, progress)?;
         if fitted.first().is_some_and(|f| f.gain > 0.0 && !f.is_confirmed) {
             fitted.extend(near_base);
             for f in fitted.iter_mut() {
                 f.against = [base.train.cost, base.validation_cost()];
             }
             self.judge(fitted, base);
-            self.replay_best(fitted, &mut anchors, base, progress)?;
+            self.replay_best(fitted, &mut anchors, from, progress)?;
         }
         let best = fitted.first().filter(|f| f.is_confirmed).map(|f| &f.instance);
         Ok(anchors.into_iter().rev().find(|(instance, _)| Some(instance) == best).map(|(_, anchor)| anchor))
@@ -233,14 +257,22 @@ impl Search<'_> {
         &self,
         fitted: &mut Vec<Fitted>,
         anchors: &mut Vec<(Instance, Anchor)>,
-        base: &Model,
+        (base, near_base, plain): (&Model, &Anchor, Option<&Plain<'_>>),
         progress: &dyn Progress,
     ) -> Result<()> {
         for done in 0..=self.settings.confirmed {
             let Some(index) = self.next_to_confirm(fitted, done) else { break };
             let f = &mut fitted[index];
             let limits = (REPLAYS, base.cost());
-            let (model, anchor) = self.replayed_until_settled(f.model.clone(), None, limits, progress)?;
+            let wanted = f.model.clone();
+            let (model, anchor) = match plain.filter(|_| f.is_plain) {
+                Some(Plain { search, anchor, .. }) => {
+                    let found = search.replayed_until_settled(wanted, (None, anchor), limits, progress)?.0;
+                    let anchor = self.anchored(&found.effects, found.x(), None)?;
+                    (self.settle(&found.effects, found.x(), &anchor, None, 0)?, anchor)
+                }
+                None => self.replayed_until_settled(wanted, (None, near_base), limits, progress)?,
+            };
             f.model = model;
             f.is_confirmed = true;
             f.against = [base.train.cost, base.validation_cost()];

@@ -215,7 +215,7 @@ pub(super) fn with_effect(
 ) -> Option<Point> {
     let mut effects = unknowns.effects.clone();
     effects.push(instance.clone());
-    let unknowns = Unknowns { nuisances: unknowns.nuisances, effects };
+    let unknowns = Unknowns { effects, ..*unknowns };
     let x: Vec<f64> = point.x.iter().chain(coordinates).copied().collect();
     let found = fitter.at(&unknowns, &x, Some(&point.responses)).ok()?;
     found.cost.is_finite().then_some(found)

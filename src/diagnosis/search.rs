@@ -2,8 +2,9 @@
 
 use super::anchor::Anchor;
 use super::fit::{Fitter, Point};
+use super::followed::scaled;
 use super::problem::{Problem, Replay};
-use super::responses::Scene;
+use super::responses::{Responses, Scene};
 use super::settings::DiagnoseSettings;
 use super::unknowns::{Nuisance, Unknowns, nuisances};
 use crate::effects::{self, Instance};
@@ -62,6 +63,12 @@ impl Model {
         (square(&self.train.residual) + self.validation_cost()) / (self.expected[0] + self.expected[1])
     }
 
+    /// Standard deviations by which the residuals of training and validation events exceed those of noise alone.
+    pub fn surprise(&self) -> [f64; 2] {
+        let of = |square: f64, n: f64| (square - n) / (2.0 * n).sqrt();
+        [of(square(&self.train.residual), self.expected[0]), of(self.validation_cost(), self.expected[1])]
+    }
+
     /// Cost beyond that of noise alone.
     pub fn excess(&self) -> f64 {
         self.cost() - self.expected[0] - self.expected[1]
@@ -107,7 +114,7 @@ impl<'a> Search<'a> {
 
     /// Unknowns with these effects.
     pub fn unknowns(&self, effects: &[Instance]) -> Unknowns<'_> {
-        Unknowns { nuisances: &self.nuisances, effects: effects.to_vec() }
+        Unknowns { nuisances: &self.nuisances, effects: effects.to_vec(), is_followed: self.scene.neighbours.is_some() }
     }
 
     /// A fitter on the training events.
@@ -133,7 +140,7 @@ impl<'a> Search<'a> {
         let train = fitter.fit(&unknowns, start, steps)?;
         let judge = Fitter { groups: &self.validation, ..fitter };
         let validation = judge.at(&unknowns, &train.x, near.map(|m| &m.validation.responses))?;
-        let expected = [fitter.expected(&unknowns, &train)?, judge.expected(&unknowns, &validation)?];
+        let expected = [&train, &validation].map(|p| p.residual.len() as f64);
         Ok(Model { effects: effects.to_vec(), train, validation, expected })
     }
 
@@ -142,11 +149,30 @@ impl<'a> Search<'a> {
     /// # Errors
     /// When the replay is impossible.
     pub fn anchored(&self, effects: &[Instance], x: &[f64], before: Option<&Anchor>) -> Result<Anchor> {
-        let Some(replay) = self.replay else { return Ok(Anchor::fast(self.scene)) };
+        if self.replay.is_none() {
+            return Ok(Anchor::fast(self.scene));
+        }
+        Ok(self.anchored_with_responses(effects, x, before)?.0)
+    }
+
+    /// The same with the fast column's responses there.
+    ///
+    /// # Errors
+    /// When the replay is impossible.
+    pub(super) fn anchored_with_responses(
+        &self,
+        effects: &[Instance],
+        x: &[f64],
+        before: Option<&Anchor>,
+    ) -> Result<(Anchor, Responses)> {
         let unknowns = self.unknowns(effects);
         let built = unknowns.build(&self.scene.problem.declared, x)?;
         let all: Vec<usize> = (0..self.scene.groups.len()).collect();
         let responses = self.scene.responses(&built, &all, None)?;
-        Ok(Anchor::of(self.scene, &replay.replay(&unknowns.tables(x))?, x, &responses, before))
+        let replays = self.replay.map_or(Ok(Vec::new()), |r| r.replay(&unknowns.tables(x)))?;
+        Ok((
+            Anchor::of(self.scene, &replays, (&built, &scaled(self.scene, &unknowns, x)?), &responses, before),
+            responses,
+        ))
     }
 }

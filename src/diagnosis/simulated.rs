@@ -1,15 +1,12 @@
 //! Twins of an array on the fast column: the same events, split and noise, and a truth of one's own.
 
-use super::anchor::Anchor;
-use super::problem::{Event, NoiseSpectrum, Problem};
-use super::responses::{DISTRUST, Scene};
+use super::noise::{drawn, normal};
+use super::problem::{Event, Problem};
+use super::responses::Scene;
 use super::spectra::{self, smoothed};
 use crate::effects::{self, Direction, Effect, Recording};
 use crate::error::Result;
 use crate::numerics::random;
-use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
 
 type C64 = Complex<f64>;
@@ -19,11 +16,12 @@ type C64 = Complex<f64>;
 pub struct Disturbance<'b> {
     /// Seed of the noise; `None` records without noise.
     pub seed: Option<u64>,
-    /// Random error of the motions of the output sensors, as a share of their smoothed spectra.
+    /// Random error of the motions of the output sensors, as a share of their smoothed spectra; what the column makes of noise
+    /// in its input comes on top.
     pub model_error: f64,
-    /// What the nonlinear column does beyond the fast one: a random share of it is an error of the motions too, alike at all
-    /// sensors of a record, since that is how an extrapolation by the fast column goes wrong.
-    pub beyond: Option<&'b Anchor>,
+    /// Nuisances of the truth, prior standard deviations: where the nonlinear column has been replayed around the declared
+    /// soil, these replays make the motions.
+    pub deviations: Option<&'b [f64]>,
 }
 
 impl Scene<'_> {
@@ -53,19 +51,19 @@ impl Scene<'_> {
                 let mut random = disturbance
                     .seed
                     .map(|seed| random::stream(seed, &format!("model {} {}", event.name, event.component())));
-                let beyond = disturbance.beyond.and_then(|a| a.records[g][r].as_ref());
-                let share = random.as_mut().map_or(C64::default(), |random| normal(random) * DISTRUST);
                 motions[0].push(event.input[record.window.clone()].to_vec());
-                let computed = self.motions(truth, [g, r], &responses);
-                let count = computed.len();
+                let replayed = disturbance.deviations.and_then(|n| self.neighbours.as_ref()?.motions([g, r], n));
+                let computed = replayed.unwrap_or_else(|| self.motions(truth, [g, r], &responses));
+                let count = array.outputs.len();
+                let propagated = self.propagated.get(g).map_or(&[][..], |g| &g[r]);
                 for (s, (motion, mut history)) in motions[1..].iter_mut().zip(computed).enumerate() {
                     if let Some(random) = &mut random {
                         let bins = self.windowed(g, &history);
-                        let power = smoothed(&bins, half);
-                        let rest = |k: usize| beyond.map_or(C64::default(), |a| share * a.rest[k * count + s]);
-                        let own = |p: &f64| disturbance.model_error * p.sqrt();
-                        let error: Vec<C64> =
-                            power.iter().enumerate().map(|(k, p)| normal(random) * own(p) + rest(k)).collect();
+                        let share = disturbance.model_error * disturbance.model_error;
+                        let power = smoothed(&bins, half).into_iter().enumerate();
+                        let power =
+                            power.map(|(k, p)| share * p + propagated.get(k * count + s).copied().unwrap_or_default());
+                        let error: Vec<C64> = power.map(|p| normal(random) * p.sqrt()).collect();
                         history.iter_mut().zip(spectra::history(&error, first, n)).for_each(|(x, e)| *x += e);
                     }
                     motion.push(history);
@@ -95,7 +93,7 @@ fn write(event: &mut Event, channels: Vec<Vec<f64>>, seed: Option<u64>) {
     let noisy = channels.into_iter().enumerate().map(|(s, mut history)| {
         if let Some(seed) = seed {
             let mut random = random::stream(seed, &format!("{label} {s}"));
-            let noise = noise(&event.noise[s], history.len(), event.dt_s, &mut random);
+            let noise = drawn(&event.noise[s], history.len(), event.dt_s, &mut random);
             history.iter_mut().zip(noise).for_each(|(x, n)| *x += n);
         }
         history
@@ -103,43 +101,4 @@ fn write(event: &mut Event, channels: Vec<Vec<f64>>, seed: Option<u64>) {
     let mut noisy: Vec<Vec<f64>> = noisy.collect();
     event.input = noisy.remove(0);
     event.outputs = noisy;
-}
-
-/// A Gaussian history of this density.
-fn noise(spectrum: &NoiseSpectrum, n: usize, dt_s: f64, random: &mut impl Rng) -> Vec<f64> {
-    let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
-    let mut bins = plan.make_input_vec();
-    let last = bins.len() - 1;
-    for (k, bin) in bins.iter_mut().enumerate() {
-        let power = spectrum.at(k as f64 / (n as f64 * dt_s)) * n as f64 / (2.0 * dt_s);
-        *bin = normal(random) * power.sqrt();
-        if k == 0 || (k == last && n.is_multiple_of(2)) {
-            *bin = C64::new(bin.re * std::f64::consts::SQRT_2, 0.0);
-        }
-    }
-    let mut out = vec![0.0; n];
-    if plan.process(&mut bins, &mut out).is_err() {
-        return out;
-    }
-    out.iter().map(|x| x / n as f64).collect()
-}
-
-/// A complex number of unit variance.
-fn normal(random: &mut impl Rng) -> C64 {
-    let mut draw = || -> f64 { StandardNormal.sample(random) };
-    C64::new(draw(), draw()) * std::f64::consts::FRAC_1_SQRT_2
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn drawn_noise_has_its_density() {
-        let white = NoiseSpectrum::white(0.02, 0.01);
-        let x = noise(&white, 20_000, 0.01, &mut random::stream(3, "test"));
-        let rms = (x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64).sqrt();
-        assert!((rms / 0.02 - 1.0).abs() < 0.02, "{rms}");
-        assert!((white.at(3.3) * 0.5 / 0.01 - 4e-4).abs() < 1e-12);
-    }
 }

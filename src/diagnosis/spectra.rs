@@ -47,8 +47,6 @@ pub struct RecordSpectra {
     pub channels: Vec<Vec<C64>>,
     /// Expected |noise|² of each bin, `[sensor][bin]`.
     pub noise: Vec<Vec<f64>>,
-    /// What the cost counts beside it for motions that the fast column cannot follow, `[sensor][bin]`.
-    pub distrust: Vec<Vec<f64>>,
     /// Peak over root-mean-square base velocity.
     pub peak_factor: f64,
     /// Spectra of the channels, not tapered and followed by silence, at the convolver's frequencies: `[sensor][bin]`.
@@ -246,7 +244,6 @@ fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<G
             let channels: Vec<Vec<C64>> =
                 histories.map(|x| convolver.tapered(&x[window.clone()], first, count)).collect();
             let smooth = (SMOOTH_HZ / step_hz).round() as usize;
-            let distrust = vec![vec![0.0; count]; channels.len()];
             let noise = channels
                 .iter()
                 .zip(&event.noise)
@@ -267,7 +264,7 @@ fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<G
             let peak_factor = if rms > 0.0 { peak / rms } else { 3.0 };
             let histories = std::iter::once(&event.input).chain(&event.outputs);
             let padded = histories.map(|x| convolver.forward(&x[window.clone()])).collect();
-            RecordSpectra { event: *index, window: window.clone(), channels, noise, distrust, peak_factor, padded }
+            RecordSpectra { event: *index, window: window.clone(), channels, noise, peak_factor, padded }
         })
         .collect();
     Ok(Group { split: members[0].1.split, frequencies_hz, records, convolver })

@@ -7,7 +7,7 @@ use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
-use super::unknowns::nuisances;
+use super::unknowns::{nuisance_tables, nuisances};
 use super::verdict::excess;
 use crate::effects::{self, Array, Class};
 use crate::error::Result;
@@ -116,7 +116,7 @@ fn settled(
         effects.push(instance.clone());
     }
     let model = search.settle(&effects, &x, &anchor, None, STEPS)?;
-    let tables = search.unknowns(&[]).nuisance_tables(&model.x()[..search.nuisances.len()]);
+    let tables = nuisance_tables(&search.nuisances, model.x());
     Ok(Some((model, tables)))
 }
 
@@ -158,6 +158,11 @@ impl Replay for Beside<'_> {
     fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
         let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
         self.replay.replay(&all)
+    }
+
+    fn replay_noisier(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
+        self.replay.replay_noisier(&all)
     }
 }
 

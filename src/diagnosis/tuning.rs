@@ -43,8 +43,7 @@ impl Tuning {
 }
 
 impl Scene<'_> {
-    /// Replays the declared values, tunes the fast column there, counts what it still misses as an error of the motions, and
-    /// gives the anchor. Without a replay the fast column stands alone.
+    /// Replays the declared values, tunes the fast column there, and gives the anchor. Without a replay the fast column stands alone.
     ///
     /// # Errors
     /// When the replay is impossible.
@@ -55,8 +54,7 @@ impl Scene<'_> {
         let built = effects::build_all(&self.problem.declared)?;
         let all: Vec<usize> = (0..self.groups.len()).collect();
         let responses = self.responses(&built, &all, None)?;
-        let anchor = Anchor::of(self, &replays, &vec![0.0; n_nuisance], &responses, None);
-        self.distrust(&anchor);
+        let anchor = Anchor::of(self, &replays, (&built, &vec![0.0; n_nuisance]), &responses, None);
         Ok(anchor)
     }
 

@@ -8,6 +8,9 @@ use crate::error::{Error, Result};
 const NONLINEARITY_LN: f64 = 0.15;
 /// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
 const COMMON_VELOCITY_LN: f64 = 0.01;
+/// Farthest a nuisance may be from its declared value, prior standard deviations. One in two thousand is farther; free to go
+/// there, many thin layers together would imitate what is not declared.
+pub(super) const MAX_DEVIATIONS: f64 = 3.5;
 /// Most depth ranges with a velocity of their own.
 const MAX_RANGES: usize = 20;
 
@@ -18,6 +21,8 @@ pub struct Nuisance {
     pub instance: Instance,
     /// Prior standard deviation of its coordinate.
     pub deviation: f64,
+    /// Whether it changes the motion of the ground as computed: the soil, and in which direction its base is shaken.
+    pub is_shaken: bool,
 }
 
 impl Nuisance {
@@ -25,7 +30,8 @@ impl Nuisance {
         let parameter = parameter(kind)?;
         let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
         let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
-        Ok(Self { instance: Instance { kind, target, free }, deviation })
+        let is_shaken = effects::find(kind)?.catalogue.class != effects::Class::Sensor;
+        Ok(Self { instance: Instance { kind, target, free }, deviation, is_shaken })
     }
 
     /// The parameter that moves.
@@ -82,11 +88,17 @@ pub fn nuisances(problem: &Problem) -> Result<Vec<Nuisance>> {
         found.push(Nuisance::new("sensor_gain", &target, t.gain_ln)?);
         found.push(Nuisance::new("clock_offset", &target, t.clock_s)?);
         if array.components.len() > 1 {
-            found.push(Nuisance::new("sensor_orientation", &target, t.orientation_deg)?);
+            let turned = Nuisance::new("sensor_orientation", &target, t.orientation_deg)?;
+            found.push(Nuisance { is_shaken: sensor == array.input, ..turned });
         }
     }
     found.retain(|n| n.deviation > 0.0);
     Ok(found)
+}
+
+/// `[[effects]]` tables of `nuisances` so many prior standard deviations from their declared values.
+pub fn nuisance_tables(nuisances: &[Nuisance], deviations: &[f64]) -> Vec<toml::Table> {
+    nuisances.iter().zip(deviations).map(|(n, x)| n.table(*x)).collect()
 }
 
 /// Depths between which velocities move together: the layers, or ranges of equal travel time where there are too many.
@@ -113,6 +125,8 @@ pub struct Unknowns<'a> {
     pub nuisances: &'a [Nuisance],
     /// Effects, in the order of their parameters.
     pub effects: Vec<Instance>,
+    /// Whether the fast column keeps what is declared of the ground's motion because neighbours of the nonlinear one follow it.
+    pub is_followed: bool,
 }
 
 impl Unknowns<'_> {
@@ -129,7 +143,7 @@ impl Unknowns<'_> {
     /// `[[effects]]` tables at `x`, nuisances first.
     pub fn tables(&self, x: &[f64]) -> Vec<toml::Table> {
         let (nuisances, mut rest) = x.split_at(self.nuisances.len());
-        let mut tables: Vec<toml::Table> = self.nuisances.iter().zip(nuisances).map(|(n, x)| n.table(*x)).collect();
+        let mut tables = nuisance_tables(self.nuisances, nuisances);
         for effect in &self.effects {
             let (own, others) = rest.split_at(effect.free.len());
             tables.push(effect.at(own));
@@ -138,26 +152,25 @@ impl Unknowns<'_> {
         tables
     }
 
-    /// Tables of the nuisances alone.
-    pub fn nuisance_tables(&self, x: &[f64]) -> Vec<toml::Table> {
-        self.nuisances.iter().zip(x).map(|(n, x)| n.table(*x)).collect()
-    }
-
-    /// The declared effects and those at `x`, built.
+    /// The declared effects and those at `x` that the fast column and the sensors take, built.
     ///
     /// # Errors
     /// When a value is out of the range of its effect.
     pub fn build(&self, declared: &[toml::Table], x: &[f64]) -> Result<Vec<Box<dyn Effect>>> {
         let mut effects = effects::build_all(declared)?;
-        effects.extend(effects::build_all(&self.tables(x))?);
+        let mut x = x.to_vec();
+        if self.is_followed {
+            self.nuisances.iter().zip(&mut x).filter(|(n, _)| n.is_shaken).for_each(|(_, x)| *x = 0.0);
+        }
+        effects.extend(effects::build_all(&self.tables(&x))?);
         Ok(effects)
     }
 
-    /// Moves `x` into the bounds: six prior standard deviations for a nuisance, its own for an effect.
+    /// Moves `x` into the bounds: [`MAX_DEVIATIONS`] for a nuisance, its own for an effect.
     pub fn clip(&self, x: &mut [f64]) {
         let (nuisances, rest) = x.split_at_mut(self.nuisances.len());
         for x in nuisances {
-            *x = x.clamp(-6.0, 6.0);
+            *x = x.clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS);
         }
         let bounds = self.effects.iter().flat_map(Instance::bounds);
         for (x, [low, high]) in rest.iter_mut().zip(bounds) {
@@ -165,9 +178,9 @@ impl Unknowns<'_> {
         }
     }
 
-    /// Steps of finite differences.
+    /// Steps of finite differences: small, or the curvature of two ways to the same motion would tell them apart.
     pub fn steps(&self) -> Vec<f64> {
-        let nuisances = self.nuisances.iter().map(|_| 0.2);
-        nuisances.chain(self.effects.iter().flat_map(|e| &e.free).map(|f| 0.05 * f.parameter.prior_sd)).collect()
+        let nuisances = self.nuisances.iter().map(|_| 0.01);
+        nuisances.chain(self.effects.iter().flat_map(|e| &e.free).map(|f| 0.005 * f.parameter.prior_sd)).collect()
     }
 }

@@ -9,6 +9,7 @@ use super::outcome::{
 use super::round::Fitted;
 use super::screen::{Marginal, derivative};
 use super::search::{Model, Search, square};
+use super::unknowns::nuisance_tables;
 use crate::effects::{self, Class};
 use crate::error::Result;
 use std::collections::BTreeMap;
@@ -39,8 +40,8 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     notes.extend(unnamed(&evidence, verdict));
     let input_coherent_share = input_coherent_share(search, &path.recalibrated);
     notes.extend(unfollowing(input_coherent_share, verdict));
-    let nuisances = unknowns.nuisance_tables(&path.recalibrated.x()[..search.nuisances.len()]);
-    let corrected_nuisances = unknowns.nuisance_tables(&corrected.x()[..search.nuisances.len()]);
+    let nuisances = nuisance_tables(&search.nuisances, path.recalibrated.x());
+    let corrected_nuisances = nuisance_tables(&search.nuisances, corrected.x());
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
     Ok(Diagnosis {
         verdict,

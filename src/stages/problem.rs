@@ -41,6 +41,7 @@ pub struct Bench<'a> {
     task: Option<&'a Task<'a>>,
     sections: ColumnSections,
     settings: RecordSettings,
+    /// Their inputs without what is noise: what the column is shaken with.
     events: Vec<Vec<Record>>,
     /// What is known and what is to be explained.
     pub problem: Problem,
@@ -74,7 +75,13 @@ impl<'a> Bench<'a> {
         let noise: Vec<_> = events.iter().map(|(_, r)| r.iter().map(diagnosis::noise).collect()).collect();
         let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
         let problem = problem(&sections, tolerances, &settings, &events, &noise)?;
-        let events = events.into_iter().map(|(_, records)| records).collect();
+        let quiet = |(mut record, noise): (Record, &Vec<NoiseSpectrum>)| {
+            let input = &mut record.input.acceleration_m_s2;
+            *input = diagnosis::denoised(input, record.dt_s, &noise[0]);
+            record
+        };
+        let events =
+            events.into_iter().zip(&noise).map(|((_, r), n)| r.into_iter().zip(n).map(quiet).collect()).collect();
         Ok(Self { task, sections, settings, events, problem })
     }
 
@@ -149,9 +156,30 @@ fn problem(
 
 impl Replay for Bench<'_> {
     fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.replay_of(&self.events, effects)
+    }
+
+    fn replay_noisier(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        let recorded = &mut self.problem.events.iter();
+        let noisier = self.events.iter().map(|records| {
+            let of = |(record, known): (&Record, &Event)| {
+                let mut record = record.clone();
+                let seed = format!("{} {}", record.event, record.component);
+                record.input.acceleration_m_s2 = diagnosis::noisier(&known.input, known.dt_s, &known.noise[0], &seed);
+                record
+            };
+            records.iter().zip(&mut *recorded).map(of).collect()
+        });
+        let noisier: Vec<Vec<Record>> = noisier.collect();
+        self.replay_of(&noisier, effects)
+    }
+}
+
+impl Bench<'_> {
+    fn replay_of(&self, events: &[Vec<Record>], effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
         let tables: Vec<Table> = self.sections.effects.iter().chain(effects).cloned().collect();
         let instrument = Instrument::new(&self.sections.sensors, self.sections.site.depth_m, &tables)?;
-        let undone: Vec<Vec<Record>> = self.events.iter().map(|records| instrument.undone(records)).collect();
+        let undone: Vec<Vec<Record>> = events.iter().map(|records| instrument.undone(records)).collect();
         let motions = base_motions(&undone, &self.settings);
         let shaken = shake(self.task, &self.sections, instrument.effects(), &motions)?;
         if shaken.iter().all(Result::is_err) {

@@ -2,7 +2,7 @@
 
 use crate::support::{Loud, Replays, Truth, array, problem, settings, table};
 use flare_pipe::diagnosis::{
-    self, Diagnosis, Disturbance, Scene, Thresholds, Verdict, diagnose, drawn, nuisances, power,
+    self, Diagnosis, Disturbance, Scene, Thresholds, Verdict, diagnose, drawn, nuisance_tables, nuisances, power,
 };
 use flare_pipe::effects;
 use flare_pipe::numerics::random;
@@ -60,7 +60,8 @@ fn twin(kind: &str, seed: u64, is_fast: bool) -> (String, Diagnosis, f64) {
         what = toml::to_string(&tables[0]).unwrap().replace('\n', " ");
     }
     let empty = problem(&array, &[], Truth { events: 4, ..truth });
-    let mut all = drawn(&nuisances(&empty).unwrap(), seed);
+    let nuisances = nuisances(&empty).unwrap();
+    let mut all = nuisance_tables(&nuisances, &drawn(&nuisances, seed));
     if std::env::var("TWIN_EXACT").is_ok() {
         all.clear();
     }
@@ -130,8 +131,9 @@ fn a_twin_of_the_fast_column_with_a_late_clock_is_named_and_one_without_is_not()
     let array = array();
     let declared = problem(&array, &[], Truth { elements: 60, max_step_s: 0.005, seed: 21, events: 6 });
     let scene = Scene::new(&declared, &settings()).unwrap();
-    let disturbance = Disturbance { seed: Some(4), model_error: 0.0, beyond: None };
-    let tables = drawn(&nuisances(&declared).unwrap(), 4);
+    let disturbance = Disturbance { seed: Some(4), model_error: 0.0, deviations: None };
+    let nuisances = nuisances(&declared).unwrap();
+    let tables = nuisance_tables(&nuisances, &drawn(&nuisances, 4));
     let seen = |extra: &[toml::Table]| {
         let all: Vec<toml::Table> = tables.iter().chain(extra).cloned().collect();
         let twin = scene.simulated(&effects::build_all(&all).unwrap(), disturbance).unwrap();
@@ -157,8 +159,8 @@ impl diagnosis::Replay for FastReplay<'_> {
     fn replay(&self, tables: &[toml::Table]) -> flare_pipe::error::Result<Vec<Option<Vec<Vec<f64>>>>> {
         let scene = Scene::new(self.0, &settings())?;
         let soil: Vec<toml::Table> = tables.iter().filter(|t| !t.contains_key("sensor")).cloned().collect();
-        let runs =
-            scene.simulated(&effects::build_all(&soil)?, Disturbance { seed: None, model_error: 0.0, beyond: None })?;
+        let runs = scene
+            .simulated(&effects::build_all(&soil)?, Disturbance { seed: None, model_error: 0.0, deviations: None })?;
         Ok(runs.events.into_iter().map(|e| Some(e.outputs)).collect())
     }
 }

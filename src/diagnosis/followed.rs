@@ -1,0 +1,70 @@
+//! Which part of a model neighbours follow, and which the fast column.
+
+use super::responses::Scene;
+use super::settings::DiagnoseSettings;
+use super::unknowns::Unknowns;
+use crate::column::Profile;
+use crate::effects::{self, Effect, Situation};
+use crate::error::Result;
+
+impl<'a> Scene<'a> {
+    /// The same with the fast column alone to follow nuisances and velocities.
+    ///
+    /// # Errors
+    /// When an event is unusable.
+    pub(super) fn alone(&self, settings: &DiagnoseSettings) -> Result<Scene<'a>> {
+        let mut alone = self.sharing(self.problem, settings)?;
+        alone.neighbours = None;
+        Ok(alone)
+    }
+
+    /// The soil under `effects` in a situation, its nuisances being `x`: deviations that the neighbours follow.
+    pub(super) fn deviations(&self, effects: &[Box<dyn Effect>], situation: &Situation, x: &[f64]) -> Vec<f64> {
+        let shift = self.edited(effects, situation).1;
+        shift.iter().zip(x).map(|(shift, x)| shift + x).collect()
+    }
+
+    /// What `effects` do to the velocities that neighbours follow, in the first event; empty where they follow none.
+    pub(super) fn velocity_shift(&self, effects: &[Box<dyn Effect>]) -> Vec<f64> {
+        self.problem.events.first().map_or(Vec::new(), |event| self.edited(effects, &event.situation).1)
+    }
+
+    /// The fast column's profile, and what `effects` do to velocities where neighbours follow these.
+    pub(super) fn edited(&self, effects: &[Box<dyn Effect>], situation: &Situation) -> (Profile, Vec<f64>) {
+        let mut profile = self.problem.array.profile.clone();
+        for effect in effects {
+            effect.edit(&mut profile, situation);
+        }
+        let taken =
+            self.neighbours.as_ref().map(|n| n.take_velocities(&self.problem.array.profile, &mut profile, situation));
+        (profile, taken.unwrap_or_default())
+    }
+}
+
+/// `x` as anchors know it: effects in their typical sizes, those that neighbours follow as nuisances at nothing, since they are
+/// among these already.
+///
+/// # Errors
+/// When an effect cannot be built.
+pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> Result<Vec<f64>> {
+    let mut scaled = x.to_vec();
+    let mut at = unknowns.nuisances.len();
+    for instance in &unknowns.effects {
+        let own = at..at + instance.free.len();
+        let mut effects = effects::build_all(&scene.problem.declared)?;
+        effects.push(effects::build(&instance.at(&x[own.clone()]))?);
+        let is_followed = scene.velocity_shift(&effects).iter().any(|s| *s != 0.0);
+        for (x, free) in scaled[own.clone()].iter_mut().zip(&instance.free) {
+            *x = if is_followed { 0.0 } else { *x / free.parameter.prior_sd };
+        }
+        at = own.end;
+    }
+    Ok(scaled)
+}
+
+/// The unknowns, what effects do to velocities being added to the nuisances of these.
+pub(super) fn place(scene: &Scene<'_>, effects: &[Box<dyn Effect>], x: &[f64]) -> Vec<f64> {
+    let mut place = x.to_vec();
+    place.iter_mut().zip(scene.velocity_shift(effects)).for_each(|(x, shift)| *x += shift);
+    place
+}
