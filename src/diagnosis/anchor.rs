@@ -151,8 +151,8 @@ impl Anchor {
         self
     }
 
-    /// What neighbours tell of the way of record `r` of group `g` from the anchor to the unknowns `x`, `[bin][sensor]`; empty where they tell
-    /// nothing.
+    /// What neighbours tell of the way of record `r` of group `g` from the anchor to the unknowns `x`, `[bin][sensor]`; empty
+    /// where they tell nothing.
     pub fn followed(&self, scene: &Scene<'_>, effects: &[Box<dyn Effect>], [g, r]: [usize; 2], x: &[f64]) -> Vec<C64> {
         let (Some(neighbours), Some(own)) = (&scene.neighbours, &self.records[g][r]) else { return Vec::new() };
         let situation = &scene.problem.events[scene.groups[g].records[r].event].situation;

@@ -117,7 +117,8 @@ pub(super) struct Path {
     pub first: Vec<Fitted>,
     /// What the corrected model was settled against.
     pub anchor: Anchor,
-    /// Declared nuisances but for the damping: an effect that is strong is seen from there, before nuisances have taken its place.
+    /// Declared nuisances but for the damping: an effect that is strong is seen from there, before nuisances have taken its
+    /// place.
     plain: Vec<f64>,
     /// Anchor of the best effect of the last round.
     confirmed: Option<Anchor>,
@@ -256,8 +257,9 @@ impl Search<'_> {
         })
     }
 
-    /// Replays `wanted`, fits from there, and again as long as that helps, at most `most` times; gives up where a
-    /// replay still costs more than twice what is at stake and half of the one before. `best` is what is known already, `from` the anchor of `wanted`.
+    /// Replays `wanted`, fits from there, and again as long as that helps, at most `most` times; gives up where a replay still
+    /// costs more than twice what is at stake and half of the one before. `best` is what is known already, `from` the anchor of
+    /// `wanted`.
     ///
     /// # Errors
     /// When a replay is impossible.

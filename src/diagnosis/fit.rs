@@ -94,7 +94,8 @@ impl Fitter<'_> {
 
     /// Minimises the cost from `start`, at most `steps` accepted steps.
     ///
-    /// Where residuals are larger than noise, the model is not yet what it should be, and they say as much less of the nuisances:
+    /// Where residuals are larger than noise, the model is not yet what it should be, and they say as much less of the
+    /// nuisances:
     ///
     /// ```text
     /// |ρ|² + λ |n|²,   λ = max(1, |ρ|²/N) where the step starts

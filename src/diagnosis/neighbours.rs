@@ -1,4 +1,4 @@
-//! What the nonlinear column does near the declared soil: replays around it, and between them.
+//! What the nonlinear column does near an estimate: replays around it, and between them.
 
 use super::anchor::Anchor;
 use super::problem::Replay;
@@ -19,22 +19,22 @@ type C64 = Complex<f64>;
 
 /// Velocities of the whole column at which it is replayed, prior standard deviations of their common nuisance.
 const STRETCH: [f64; 7] = [-4.5, -3.0, -1.5, 0.0, 1.5, 3.0, 4.5];
-/// Place of the declared column among them, and of those next to it.
+/// Place of the estimate among them.
 const MIDDLE: usize = 3;
 /// Farthest a velocity may be from its declared value, prior standard deviations.
 const FARTHEST: f64 = 60.0;
 
-/// Replays around the declared soil and what lies between them.
+/// Replays around an estimate of the soil and what lies between them.
 ///
 /// ```text
 /// V(n) = T(s) + Σ_i [(V_i − V_0) n_i − c_i n_i T'(0)],   s = n_0 + Σ_i c_i n_i         (1)
 /// c_i = ⟨V_i − V_0, T'(0)⟩ / ⟨T'(0), T'(0)⟩                                           (2)
 /// ```
 ///
-/// n_i is a nuisance of the soil in prior standard deviations and V_i the replay one of them away. T(s), cubic between replays,
-/// has all velocities changed together: that moves the resonances, narrow at small damping, so far that no slope holds. Of what
-/// a layer's velocity does, (2) is the part that moves resonances alike. Damping that cannot fall below nothing has a replay on
-/// either side.
+/// n_i is how far a nuisance of the soil is from the estimate, prior standard deviations, and V_i the replay one of them up; n_0
+/// is that of all velocities. A turned input sensor counts among the soil. T(s), cubic between replays, has all velocities
+/// changed together: that moves the resonances, narrow at small damping, so far that no slope holds. Of what a layer's velocity
+/// does, (2) is the part that moves resonances alike. Damping that cannot fall below nothing has a replay on either side.
 ///
 /// An effect that changes velocities is a larger change of the same kind: n_i grows by the ln of the velocity that has the mean
 /// compliance of the layer.
@@ -50,7 +50,7 @@ pub struct Neighbours {
     soil: Vec<Option<Soil>>,
     /// Replays of [`STRETCH`].
     stretch: Option<[usize; STRETCH.len()]>,
-    /// `[replay][group][record]`, the declared one first; `None` where the column did not finish.
+    /// `[replay][group][record]`, the estimate's first; `None` where the column did not finish.
     replays: Vec<Vec<Vec<Option<Seen>>>>,
 }
 
