@@ -5,7 +5,7 @@ use super::line::hidden;
 use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
 use super::unknowns::Nuisance;
-use crate::effects::Instance;
+use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use rayon::prelude::*;
@@ -104,6 +104,9 @@ impl Search<'_> {
         let few = self.settings.finalists.div_ceil(2) + 1;
         let picked = self.picked(found, &open, few).into_iter();
         starts.extend(picked.map(|s| Start { instance: s.instance, x: joined(base.x(), &s.start), is_plain: false }));
+        for (instance, effect) in open.iter().enumerate() {
+            starts.extend(self.taken_over(&base, effect)?.map(|x| Start { instance, x, is_plain: false }));
+        }
         let fit = |start: &Start| {
             let instance = open[start.instance].clone();
             let mut effects = base.effects.clone();
@@ -129,6 +132,31 @@ impl Search<'_> {
         self.judge(&mut fitted, &base);
         let anchor = self.confirm(&mut fitted, near_base, (&base, anchor, plain.as_ref()), progress)?;
         Ok(Round { base, fitted, anchor })
+    }
+
+    /// Unknowns with `instance` where its velocities take over what those of the tolerances have in common with them: the same
+    /// motions, and room for more where a tolerance is at its end. `None` where there is nothing to take over.
+    ///
+    /// # Errors
+    /// When the effect cannot be built.
+    fn taken_over(&self, base: &Model, instance: &Instance) -> Result<Option<Vec<f64>>> {
+        let (Some(zero), [free]) = (instance.zero(), &instance.free[..]) else { return Ok(None) };
+        let step = TRIVIAL * free.parameter.prior_sd;
+        let mut effects = effects::build_all(&self.scene.problem.declared)?;
+        effects.push(effects::build(&instance.at(&[zero[0] + step]))?);
+        let shift: Vec<f64> = self.scene.velocity_shift(&effects).iter().map(|s| s / step).collect();
+        let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
+        let square = dot(&shift, &shift);
+        let amount = if square > 0.0 { dot(base.x(), &shift) / square } else { 0.0 };
+        let [[low, high]] = instance.bounds()[..] else { return Ok(None) };
+        let own = (zero[0] + amount).clamp(low, high);
+        if (own - zero[0]).abs() < step {
+            return Ok(None);
+        }
+        let mut x = base.x().to_vec();
+        x.iter_mut().zip(&shift).for_each(|(x, s)| *x -= s * (own - zero[0]));
+        x.push(own);
+        Ok(Some(x))
     }
 
     /// The best of each kind, at most two places of it, `most` in all.
