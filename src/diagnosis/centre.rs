@@ -41,8 +41,9 @@ pub(super) fn centre(
         let cost = search.settle(&[], &nuisances, &anchor, None, 0)?.cost();
         Ok((nuisances, cost))
     };
-    let mut tried = vec![(0.0, search.settle(&[], &zero, declared, None, 0)?.cost())];
-    let mut best = (zero.clone(), tried[0].1);
+    let declared = search.settle(&[], &zero, declared, None, 0)?.cost();
+    let mut tried = vec![(0.0, declared)];
+    let mut best = (zero.clone(), declared);
     for sign in [1.0, -1.0] {
         for step in STEPS {
             let found = at(sign * step)?;
@@ -62,14 +63,12 @@ pub(super) fn centre(
             best = found;
         }
     }
-    if best.1 > DECISIVE * tried.iter().find(|t| t.0 == 0.0).map_or(f64::INFINITY, |t| t.1) {
-        best = (zero, f64::NAN);
+    if best.1 > DECISIVE * declared {
+        best = (zero, declared);
     }
     progress.note(&format!(
-        "damping {:.1} standard deviations from the declared: cost {:.0}, declared {:.0}",
-        best.0[damping],
-        best.1,
-        tried.iter().find(|t| t.0 == 0.0).map_or(f64::NAN, |t| t.1)
+        "damping {:.1} standard deviations from the declared: cost {:.0}, declared {declared:.0}",
+        best.0[damping], best.1
     ));
     Ok(best.0)
 }

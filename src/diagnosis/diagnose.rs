@@ -92,8 +92,8 @@ fn diagnose_rest(
             break;
         }
         let corrected = &path.corrected;
-        scene.look_around(replay, settings, (&corrected.effects, corrected.x()), progress)?;
-        Search::new(&scene, settings, Some(replay))?.polish(&mut path, progress)?;
+        let anchor = scene.look_around(replay, settings, (&corrected.effects, corrected.x()), progress)?;
+        Search::new(&scene, settings, Some(replay))?.polish(&mut path, anchor, progress)?;
         if path.corrected.excess() <= 0.0 {
             break;
         }
@@ -142,17 +142,17 @@ impl Search<'_> {
         Ok(true)
     }
 
-    /// Fits the corrected model once more with the replays around it, and takes out what that makes needless.
+    /// Fits the corrected model once more with the replays around it, from its `anchor` there, and takes out what that makes needless.
     ///
     /// # Errors
     /// When a replay is impossible.
-    fn polish(&self, path: &mut Path, progress: &dyn Progress) -> Result<()> {
+    fn polish(&self, path: &mut Path, anchor: Anchor, progress: &dyn Progress) -> Result<()> {
         let (effects, x) = (path.corrected.effects.clone(), path.corrected.x().to_vec());
-        (path.corrected, path.anchor) = self.settled(&effects, &x, None, progress)?;
+        (path.corrected, path.anchor) = self.settled(&effects, &x, anchor, progress)?;
         self.drop_needless(path)
     }
 
-    /// Fits from `x`, replays, and fits again as long as that helps; `before` is an anchor it can learn from.
+    /// Fits from `x` and its `anchor`, replays, and fits again as long as that helps.
     ///
     /// # Errors
     /// When a replay is impossible.
@@ -160,10 +160,9 @@ impl Search<'_> {
         &self,
         effects: &[Instance],
         x: &[f64],
-        before: Option<&Anchor>,
+        anchor: Anchor,
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
-        let anchor = self.anchored(effects, x, before)?;
         let start = self.settle(effects, x, &anchor, None, 0)?;
         let fitted = self.settle(effects, x, &anchor, Some(&start), STEPS[0])?;
         let best = Some((start, anchor.clone()));
@@ -173,7 +172,7 @@ impl Search<'_> {
     /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be
     /// credited with what the base had only not found yet.
     fn fair_round(&self, path: &mut Path, number: usize, progress: &dyn Progress) -> Result<Vec<Fitted>> {
-        let alone = self.scene.alone(self.settings)?;
+        let alone = self.scene.alone();
         let search = Search::new(&alone, self.settings, self.replay)?;
         let mut tries = 0;
         loop {
@@ -243,7 +242,8 @@ impl Search<'_> {
         let zero = vec![0.0; self.nuisances.len()];
         let declared = self.settle(&[], &zero, &self.anchored(&[], &zero, None)?, None, 0)?;
         let before = self.anchored(&[], plain, None)?;
-        let (recalibrated, anchor) = self.settled(&[], centre, Some(&before), progress)?;
+        let anchor = self.anchored(&[], centre, Some(&before))?;
+        let (recalibrated, anchor) = self.settled(&[], centre, anchor, progress)?;
         Ok(Path {
             declared,
             corrected: recalibrated.clone(),

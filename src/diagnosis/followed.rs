@@ -1,21 +1,17 @@
 //! Which part of a model neighbours follow, and which the fast column.
 
 use super::responses::Scene;
-use super::settings::DiagnoseSettings;
 use super::unknowns::Unknowns;
 use crate::column::Profile;
 use crate::effects::{self, Effect, Situation};
 use crate::error::Result;
 
-impl<'a> Scene<'a> {
+impl Scene<'_> {
     /// The same with the fast column alone to follow nuisances and velocities.
-    ///
-    /// # Errors
-    /// When an event is unusable.
-    pub(super) fn alone(&self, settings: &DiagnoseSettings) -> Result<Scene<'a>> {
-        let mut alone = self.sharing(self.problem, settings)?;
+    pub(super) fn alone(&self) -> Self {
+        let mut alone = self.clone();
         alone.neighbours = None;
-        Ok(alone)
+        alone
     }
 
     /// The soil under `effects` in a situation, its nuisances being `x`: deviations that the neighbours follow.

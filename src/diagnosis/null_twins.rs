@@ -9,8 +9,7 @@ use super::round::Ground;
 use super::search::Search;
 use super::settings::DiagnoseSettings;
 use super::simulated::Disturbance;
-use super::unknowns::{Nuisance, nuisance_tables, nuisances};
-use crate::effects;
+use super::unknowns::{Nuisance, TOLERATED, Unknowns, nuisances};
 use crate::error::{Error, Result};
 use crate::numerics::random;
 use crate::progress::{Progress, Quiet};
@@ -21,8 +20,6 @@ use rayon::prelude::*;
 const FINALISTS: usize = 3;
 /// Steps of a null twin's recalibration.
 const STEPS: usize = 15;
-/// Distance from the declared value that no null twin excuses, in prior standard deviations.
-const LEAST_DEVIATIONS: f64 = 3.0;
 
 /// Runs the search on null twins of `problem`: recorded inputs, split, noise and tolerances are its own, the truth differs
 /// from the declared model within the tolerances only. The most favourable effect of the whole catalogue is in the
@@ -74,7 +71,7 @@ pub fn thresholds(
         gain: quantile(&gains, share).max(charge),
         validation_gain: 0.5 * charge,
         excess: quantile(&rising(|n| n.excess), share).max(3.0),
-        deviations: quantile(&rising(|n| n.deviations), share).max(LEAST_DEVIATIONS),
+        deviations: quantile(&rising(|n| n.deviations), share).max(TOLERATED),
         twins: nulls.len(),
         null_gains: gains,
     })
@@ -91,9 +88,7 @@ fn null(scene: &Scene<'_>, centre: &Anchor, settings: &DiagnoseSettings, seed: u
     let nuisances = nuisances(scene.problem)?;
     let deviations = drawn(&nuisances, seed);
     let is_followed = scene.neighbours.is_some();
-    let seen = nuisances.iter().zip(&deviations).map(|(n, x)| if is_followed && n.is_shaken { 0.0 } else { *x });
-    let seen: Vec<f64> = seen.collect();
-    let truth = effects::build_all(&nuisance_tables(&nuisances, &seen))?;
+    let truth = Unknowns { nuisances: &nuisances, effects: Vec::new(), is_followed }.build(&[], &deviations)?;
     let disturbance =
         Disturbance { seed: Some(seed), model_error: settings.model_error, deviations: Some(&deviations) };
     let problem = scene.simulated(&truth, disturbance)?;

@@ -3,6 +3,7 @@
 use super::anchor::{Anchor, smoothing};
 use super::neighbours::Seen;
 use super::responses::{Responses, Scene};
+use super::spectra::running_mean;
 
 /// Power added to the noise of the output sensors: `[group][record][bin and sensor]`, empty where it is not known.
 pub(super) type Propagated = Vec<Vec<Vec<f64>>>;
@@ -41,15 +42,11 @@ pub(super) fn propagated(
 
 /// Mean of `moved` over bins to either side, less that of `linear`, where that is more than nothing; `[bin and sensor]`.
 fn beyond(moved: &[f64], linear: &[f64], count: usize, half: usize) -> Vec<f64> {
-    let n = moved.len() / count;
-    let mean = |x: &[f64], k: usize, s: usize| {
-        let range = k.saturating_sub(half)..(k + half + 1).min(n);
-        let width = range.len() as f64;
-        range.map(|m| x[m * count + s]).sum::<f64>() / width
+    let mean = |x: &[f64]| -> Vec<Vec<f64>> {
+        (0..count).map(|s| running_mean(&x.iter().skip(s).step_by(count).copied().collect::<Vec<_>>(), half)).collect()
     };
-    (0..moved.len())
-        .map(|i| (mean(moved, i / count, i % count) - mean(linear, i / count, i % count)).max(0.0))
-        .collect()
+    let (moved_mean, linear_mean) = (mean(moved), mean(linear));
+    (0..moved.len()).map(|i| (moved_mean[i % count][i / count] - linear_mean[i % count][i / count]).max(0.0)).collect()
 }
 
 #[cfg(test)]

@@ -31,6 +31,7 @@ const FROM_GROUND: (usize, f64) = (2, 0.8);
 const START_STRAIN: f64 = 1e-5;
 
 /// The problem in the frequency domain.
+#[derive(Clone)]
 pub struct Scene<'a> {
     /// The problem.
     pub problem: &'a Problem,

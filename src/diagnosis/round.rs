@@ -4,7 +4,7 @@ use super::anchor::Anchor;
 use super::line::hidden;
 use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
-use super::unknowns::Nuisance;
+use super::unknowns::{Nuisance, TOLERATED};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
@@ -16,8 +16,6 @@ const STEPS: [usize; 2] = [6, 8];
 const CLOSE_SHARE: f64 = 0.7;
 /// Most replays of an effect to be confirmed.
 const REPLAYS: usize = 6;
-/// Prior standard deviations within which a declared value is what it was declared to be.
-const TOLERATED: f64 = 3.0;
 /// Effects weaker than this many prior standard deviations are not effects.
 const TRIVIAL: f64 = 0.05;
 

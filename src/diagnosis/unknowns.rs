@@ -8,6 +8,8 @@ use crate::error::{Error, Result};
 const NONLINEARITY_LN: f64 = 0.15;
 /// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
 const COMMON_VELOCITY_LN: f64 = 0.01;
+/// Prior standard deviations within which a declared value is what it was declared to be; no null twin makes them fewer.
+pub(super) const TOLERATED: f64 = 3.0;
 /// Farthest a nuisance may be from its declared value, prior standard deviations. One in two thousand is farther; free to go
 /// there, many thin layers together would imitate what is not declared.
 pub(super) const MAX_DEVIATIONS: f64 = 3.5;
