@@ -32,7 +32,7 @@ fn lotung(elements: usize) -> Column {
         vs_m_s: *vs,
         k0: 0.5,
         law_kind: "sanisand".into(),
-        law: toml::Table::new(),
+        law: Default::default(),
     });
     let profile = Profile {
         layers: layers.collect(),

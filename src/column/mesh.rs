@@ -173,7 +173,7 @@ fn stretches(profile: &Profile, cuts: &[Cut]) -> Result<Vec<Dressed>> {
             }
         }
         let law = registry::find("soil law", LAWS, &layer.law_kind)
-            .and_then(|entry| (entry.build)(layer.law.clone()))
+            .and_then(|entry| (entry.build)(layer.law.as_ref().clone()))
             .map_err(|error: Error| error.at(place(cut.layer)))?;
         found.push(Dressed { elements: i..i + 1, law: around.dress(law), around });
     }

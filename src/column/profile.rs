@@ -3,6 +3,7 @@
 use super::Features;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// A soil profile and how it is meshed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -38,9 +39,9 @@ pub struct Layer {
     pub k0: f64,
     /// Kind of the law, a name of `flare-pipe list laws`.
     pub law_kind: String,
-    /// Parameters of the law, per-layer ones merged in.
+    /// Parameters of the law, per-layer ones merged in; shared between edited profiles, of which a diagnosis makes many.
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
-    pub law: toml::Table,
+    pub law: Arc<toml::Table>,
 }
 
 /// Vertical motion above the base.

@@ -263,7 +263,7 @@ impl Curves {
         if let Some(known) = self.known.lock().ok().and_then(|known| known.get(&key).cloned()) {
             return Some(known);
         }
-        let mut parameters = layer.law.clone();
+        let mut parameters = layer.law.as_ref().clone();
         VISCOUS.iter().for_each(|key| drop(parameters.remove(*key)));
         if let (Some(key), Some(value)) = (strength, value(2)) {
             parameters.insert(key.to_string(), value.into());
@@ -336,7 +336,7 @@ mod tests {
             vs_m_s: 150.0,
             k0: 0.5,
             law_kind: "sanisand".into(),
-            law: parameters.clone(),
+            law: parameters.clone().into(),
         };
         let law = (registry::find("soil law", LAWS, "sanisand").unwrap().build)(parameters).unwrap();
         let curves = Curves::default();

@@ -1,6 +1,7 @@
 //! Editing layers: cutting them at a depth, and numbers in a layer's law.
 
 use crate::column::{Layer, Profile};
+use std::sync::Arc;
 
 /// Layers thinner than this are not made: a cut this close to a boundary is that boundary, m.
 const THINNEST_M: f64 = 0.02;
@@ -43,7 +44,7 @@ pub(super) fn number(layer: &Layer, key: &str, default: f64) -> f64 {
 
 /// Sets a number of a layer's law.
 pub(super) fn set(layer: &mut Layer, key: &str, value: f64) {
-    layer.law.insert(key.into(), toml::Value::Float(value));
+    Arc::make_mut(&mut layer.law).insert(key.into(), toml::Value::Float(value));
 }
 
 /// Multiplies a number of a layer's law, `default` where the law does not give it.
@@ -65,7 +66,7 @@ pub(super) mod tests {
             vs_m_s: 150.0,
             k0: 0.5,
             law_kind: law_kind.into(),
-            law: toml::Table::new(),
+            law: Arc::default(),
         };
         Profile {
             layers: vec![layer.clone(), layer],

@@ -113,7 +113,7 @@ mod tests {
     fn secant_ratio(kind: &str, ln_gamma_ref: f64, gamma: f64) -> f64 {
         let mut profile = profile(kind);
         Nonlinearity { ln_gamma_ref, top_m: 0.0, bottom_m: 1e4 }.edit(&mut profile, &Situation::default());
-        let law = (registry::find("law", LAWS, kind).unwrap().build)(profile.layers[0].law.clone()).unwrap();
+        let law = (registry::find("law", LAWS, kind).unwrap().build)(profile.layers[0].law.as_ref().clone()).unwrap();
         let (depth_m, density_kg_m3, vs_m_s) = (6.0, 1900.0, 150.0);
         let point = Point { depth_m, density_kg_m3, vs_m_s, vertical_pa: 6e4, horizontal_pa: 4e4 };
         let mut state = vec![0.0; law.n_state()];

@@ -11,7 +11,7 @@ fn array() -> Array {
         vs_m_s,
         k0: 0.5,
         law_kind: law_kind.into(),
-        law: toml::Table::new(),
+        law: Default::default(),
     };
     Array {
         profile: Profile {

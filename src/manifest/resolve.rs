@@ -22,7 +22,7 @@ impl SiteSection {
                 vs_m_s: layer.vs_m_s,
                 k0: layer.k0,
                 law_kind,
-                law,
+                law: law.into(),
             })
         });
         Ok(Profile {

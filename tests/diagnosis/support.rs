@@ -32,7 +32,7 @@ pub fn profile(elements: usize) -> Profile {
                 vs_m_s: *vs_m_s,
                 k0: 0.5,
                 law_kind: "hyperbolic".into(),
-                law: law(),
+                law: law().into(),
             })
             .collect(),
         water_table_m: 2.0,

@@ -65,7 +65,7 @@ fn any_layer() -> impl Strategy<Value = Layer> {
             vs_m_s,
             k0,
             law_kind,
-            law,
+            law: law.into(),
         },
     )
 }
@@ -132,7 +132,7 @@ fn a_motion_that_is_no_number_is_refused_and_a_sink_that_fails_is_told() {
 fn a_run_that_cannot_go_on_says_when_where_and_why() {
     let mut profile = crate::support::lotung(40);
     for layer in &mut profile.layers {
-        layer.law = "max_substeps = 1\ntolerance = 1e-9".parse().expect("TOML");
+        layer.law = "max_substeps = 1\ntolerance = 1e-9".parse::<toml::Table>().expect("TOML").into();
     }
     let analysis = Analysis { min_step_s: 1e-3, ..Analysis::default() };
     let column = Column::new(&profile, &analysis).expect("a column");

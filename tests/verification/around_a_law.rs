@@ -170,7 +170,7 @@ fn features_of_no_strength_leave_the_column_as_it_is_to_the_last_bit() {
     // An element that may slip has no viscosity, so there is none to begin with.
     let mut plain = lotung(40);
     for layer in &mut plain.layers {
-        layer.law = "viscosity_s = 0.0".parse().expect("TOML");
+        layer.law = "viscosity_s = 0.0".parse::<toml::Table>().expect("TOML").into();
     }
     let mut nothing = plain.clone();
     nothing.features = Features {

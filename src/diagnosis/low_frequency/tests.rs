@@ -20,7 +20,7 @@ fn array(vs_m_s: f64) -> Array {
         vs_m_s,
         k0: 0.5,
         law_kind: "elastic".into(),
-        law: toml::Table::new(),
+        law: Default::default(),
     };
     let profile = Profile {
         layers: vec![layer],
