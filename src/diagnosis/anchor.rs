@@ -111,9 +111,9 @@ impl Anchor {
                 };
                 let nonlinear: Vec<Vec<C64>> = replayed.iter().map(|x| scene.bins(g, r, x)).collect();
                 let mut own = compare(&group.frequencies_hz, &nonlinear, response);
-                own.deviations = scene.deviations(effects, &scene.problem.events[record.event].situation, x);
+                own.deviations = responses.deviations([g, r], x);
                 if let Some((before, earlier)) = before.and_then(|b| Some((b, b.records[g][r].as_ref()?))) {
-                    let followed = before.followed(scene, effects, [g, r], x);
+                    let followed = before.followed(scene, responses, [g, r], x);
                     let turned = earlier.turned(&response.input, &response.seen_by, half);
                     let count = nonlinear.len();
                     let error = |i: usize| {
@@ -153,10 +153,9 @@ impl Anchor {
 
     /// What neighbours tell of the way of record `r` of group `g` from the anchor to the unknowns `x`, `[bin][sensor]`; empty
     /// where they tell nothing.
-    pub fn followed(&self, scene: &Scene<'_>, effects: &[Box<dyn Effect>], [g, r]: [usize; 2], x: &[f64]) -> Vec<C64> {
+    pub fn followed(&self, scene: &Scene<'_>, responses: &Responses, [g, r]: [usize; 2], x: &[f64]) -> Vec<C64> {
         let (Some(neighbours), Some(own)) = (&scene.neighbours, &self.records[g][r]) else { return Vec::new() };
-        let situation = &scene.problem.events[scene.groups[g].records[r].event].situation;
-        neighbours.moved([g, r], &own.deviations, &scene.deviations(effects, situation, x))
+        neighbours.moved([g, r], &own.deviations, &responses.deviations([g, r], x))
     }
 
     /// What each step known counts on the way from the anchor to the unknowns `x`.

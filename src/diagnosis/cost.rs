@@ -31,9 +31,10 @@ pub fn whitened(
     (anchor, x): (&Anchor, &[f64]),
     groups: &[usize],
 ) -> Vec<f64> {
+    let amounts = &anchor.amounts(scene, effects, x);
     let whiten = |g: &usize| {
         let mut out = Vec::with_capacity(scene.groups[*g].n_residual());
-        each_bin(scene, effects, responses, (anchor, x), *g, |bin| bin.whiten(&mut out));
+        each_bin(scene, effects, responses, (anchor, x, amounts), *g, |bin| bin.whiten(&mut out));
         out
     };
     groups.par_iter().map(whiten).collect::<Vec<Vec<f64>>>().concat()
@@ -51,7 +52,8 @@ pub fn pairs(
     let n_sensor = scene.problem.array.outputs.len();
     let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
     let mut rows = vec![empty; group.records.len() * n_sensor];
-    each_bin(scene, effects, responses, (anchor, x), g, |bin| {
+    let amounts = &anchor.amounts(scene, effects, x);
+    each_bin(scene, effects, responses, (anchor, x, amounts), g, |bin| {
         for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
             row.predicted.push(*predicted);
             row.measured.push(*measured);
@@ -65,7 +67,7 @@ fn each_bin(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    (anchor, x): (&Anchor, &[f64]),
+    (anchor, x, amounts): (&Anchor, &[f64], &[f64]),
     g: usize,
     mut visit: impl FnMut(&mut Bin),
 ) {
@@ -84,8 +86,7 @@ fn each_bin(
     let half = smoothing(&group.frequencies_hz);
     let turned = |r: usize| anchor.records[g][r].as_ref().map_or(Vec::new(), |a| a.turned(&inputs[r], &seen_by, half));
     let turned: Vec<Vec<C64>> = (0..n_record).map(turned).collect();
-    let amounts = anchor.amounts(scene, effects, x);
-    let followed: Vec<Vec<C64>> = (0..n_record).map(|r| anchor.followed(scene, effects, [g, r], x)).collect();
+    let followed: Vec<Vec<C64>> = (0..n_record).map(|r| anchor.followed(scene, responses, [g, r], x)).collect();
     let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
     for (k, f) in group.frequencies_hz.iter().enumerate() {
@@ -112,7 +113,7 @@ fn each_bin(
                     if let Some(own) = &anchor.records[g][q] {
                         motion *= own.factor[at];
                         predicted *= own.factor[at];
-                        rest += own.rest[at] + anchor.secants.error(&amounts, [g, q], at);
+                        rest += own.rest[at] + anchor.secants.error(amounts, [g, q], at);
                     }
                     predicted += turned[q].get(k).map_or(rest, |f| f * rest);
                     predicted += arrival * inputs[q][k];

@@ -24,8 +24,10 @@ const MAX_ANCHORS: usize = 10;
 const LOOKS: [usize; 2] = [2, 3];
 /// Standard deviations by which costs exceed those of noise where the last of them is taken.
 const SURPRISE: f64 = 1.0;
-/// Replays that end a recalibration by being no better than the best one.
-const MAX_FAILURES: usize = 2;
+/// Replays in a row that end a recalibration by being no better than the best one.
+const MAX_FAILURES: usize = 3;
+/// Hold on a fit after the first replay that did not keep what the fit promised, and its growth with each more.
+const HOLD: [f64; 2] = [10.0, 10.0];
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -272,6 +274,7 @@ impl Search<'_> {
     ) -> Result<(Model, Anchor)> {
         let effects = wanted.effects.clone();
         let mut failures = 0;
+        let mut hold = 0.0;
         for number in 0..most {
             let next = self.anchored(&effects, wanted.x(), Some(best.as_ref().map_or(from, |b| &b.1)))?;
             let seen = self.settle(&effects, wanted.x(), &next, Some(&wanted), 0)?;
@@ -289,7 +292,8 @@ impl Search<'_> {
             if seen.cost() < before {
                 let is_done =
                     seen.cost() > 0.995 * before || (number > 0 && seen.cost() > (2.0 * at_stake).max(0.5 * before));
-                wanted = self.settle(&effects, seen.x(), &next, Some(&seen), STEPS[1])?;
+                hold = loosened(hold);
+                wanted = self.settle_held(&effects, seen.x(), (&next, Some(&seen)), STEPS[1], hold)?;
                 best = Some((seen, next));
                 failures = 0;
                 if is_done {
@@ -298,7 +302,8 @@ impl Search<'_> {
             } else if let Some((best, anchor)) = &mut best {
                 // Not what was promised: what this replay has told keeps the next step from going there.
                 anchor.secants.learn(&next.secants);
-                wanted = self.settle(&effects, best.x(), anchor, Some(best), STEPS[1])?;
+                hold = tightened(hold);
+                wanted = self.settle_held(&effects, best.x(), (anchor, Some(best)), STEPS[1], hold)?;
                 failures += 1;
                 if failures == MAX_FAILURES {
                     break;
@@ -330,6 +335,16 @@ impl Search<'_> {
         }
         Ok(())
     }
+}
+
+/// The hold on the next fit after a replay that kept its promise.
+fn loosened(hold: f64) -> f64 {
+    if hold > HOLD[0] { 0.3 * hold } else { 0.0 }
+}
+
+/// The same after one that did not.
+fn tightened(hold: f64) -> f64 {
+    (HOLD[1] * hold).max(HOLD[0])
 }
 
 impl Path {

@@ -30,12 +30,20 @@ impl Point {
         (square / self.residual.len().max(1) as f64).max(1.0)
     }
 
-    /// The cost with priors weighted by `level`.
-    fn tempered(&self, level: f64) -> f64 {
+    /// The cost with priors and what `leash` adds weighted by `level`.
+    fn tempered(&self, level: f64, leash: &Leash) -> f64 {
         let square: f64 = self.residual.iter().map(|r| r * r).sum();
-        let tempered = square + level * (self.cost - square);
+        let far: f64 = self.x.iter().zip(&leash.from).zip(&leash.weights).map(|((x, a), w)| w * (x - a).powi(2)).sum();
+        let tempered = square + level * (self.cost - square + far);
         if tempered.is_finite() { tempered } else { f64::INFINITY }
     }
+}
+
+/// What holds a fit near the place where it starts.
+struct Leash {
+    from: Vec<f64>,
+    /// By unknown.
+    weights: Vec<f64>,
 }
 
 /// Evaluates and fits against one anchor on some of the groups.
@@ -98,19 +106,28 @@ impl Fitter<'_> {
     /// nuisances:
     ///
     /// ```text
-    /// |ρ|² + λ |n|²,   λ = max(1, |ρ|²/N) where the step starts
+    /// |ρ|² + λ (|n|² + μ |x − x₀|²),   λ = max(1, |ρ|²/N) where the step starts
     /// ```
+    ///
+    /// μ, the `hold`, keeps the fit near its start x₀ in prior standard deviations: so far replays have agreed with what lies
+    /// between them (Levenberg–Marquardt with the steps of the nonlinear column for its own).
     ///
     /// # Errors
     /// When the start cannot be evaluated.
-    pub fn fit(&self, unknowns: &Unknowns<'_>, start: Point, steps: usize) -> Result<Point> {
+    pub fn fit(&self, unknowns: &Unknowns<'_>, start: Point, steps: usize, hold: f64) -> Result<Point> {
         let all: Vec<usize> = (0..unknowns.len()).collect();
+        let weights = unknowns.deviations().into_iter().map(|d| hold / (d * d)).collect();
+        let leash = Leash { from: start.x.clone(), weights };
         let mut point = start;
         let mut lambda = 1e-3;
         for _ in 0..steps {
             let jacobian = self.jacobian(unknowns, &point, &all);
             let level = point.level();
-            let (normal, gradient) = normal_equations(unknowns, &jacobian, &point, level);
+            let (mut normal, mut gradient) = normal_equations(unknowns, &jacobian, &point, level);
+            for (i, weight) in leash.weights.iter().enumerate() {
+                normal[(i, i)] += level * weight;
+                gradient[i] -= level * weight * (point.x[i] - leash.from[i]);
+            }
             let mut best: Option<Point> = None;
             for _ in 0..6 {
                 let Some(step) = damped_step(&normal, &gradient, lambda) else { break };
@@ -118,7 +135,7 @@ impl Fitter<'_> {
                 unknowns.clip(&mut x);
                 let trial = self.at(unknowns, &x, Some(&point.responses));
                 if let Ok(trial) = trial
-                    && trial.tempered(level) < point.tempered(level)
+                    && trial.tempered(level, &leash) < point.tempered(level, &leash)
                 {
                     best = Some(trial);
                     break;
@@ -126,7 +143,7 @@ impl Fitter<'_> {
                 lambda = (lambda * 10.0f64).max(1e-3);
             }
             let Some(next) = best else { break };
-            let gain = point.tempered(level) - next.tempered(level);
+            let gain = point.tempered(level, &leash) - next.tempered(level, &leash);
             point = next;
             lambda = (lambda * 0.1f64).max(1e-7);
             if gain < 0.3 + 1e-5 * point.cost {
@@ -134,6 +151,25 @@ impl Fitter<'_> {
             }
         }
         Ok(point)
+    }
+
+    /// Σ|ρ|² of other events, this being fitted at `point` and they being seen at `other`, as far as it is not what the fit has
+    /// left open:
+    ///
+    /// ```text
+    /// ρᵀ (I + J C Jᵀ)⁻¹ ρ,   C = λ (J₀ᵀJ₀ + λ P)⁻¹                          (1)
+    /// ```
+    ///
+    /// J and J₀ are the derivatives of the others' and of one's own residuals, C the covariance of the unknowns after the fit,
+    /// λ as in [`Self::fit`]. Where the model is right, (1) is a χ² with as many degrees of freedom as there are residuals.
+    ///
+    /// Source: Gelman et al. (2013), Bayesian Data Analysis, 3rd ed., section 6.3: posterior predictive distribution.
+    pub fn predictive(&self, unknowns: &Unknowns<'_>, point: &Point, (judge, other): (&Self, &Point)) -> f64 {
+        let all: Vec<usize> = (0..unknowns.len()).collect();
+        let level = point.level();
+        let (own, _) = normal_equations(unknowns, &self.jacobian(unknowns, point, &all), point, level);
+        let precision = faer::Scale(1.0 / level) * &own;
+        beyond(&precision, &judge.jacobian(unknowns, other, &all), &other.residual)
     }
 
     /// Posterior standard deviations at `point`, widened where the fit is worse than its noise: `level` times its cost.
@@ -150,6 +186,14 @@ impl Fitter<'_> {
             Err(_) => vec![f64::INFINITY; normal.nrows()],
         }
     }
+}
+
+/// ρᵀ (I + J C Jᵀ)⁻¹ ρ with C⁻¹ the `precision`: |ρ|² − bᵀ (C⁻¹ + JᵀJ)⁻¹ b, b = Jᵀρ.
+fn beyond(precision: &Mat<f64>, jacobian: &Mat<f64>, residual: &[f64]) -> f64 {
+    let open = project(jacobian, residual);
+    let square: f64 = residual.iter().map(|r| r * r).sum();
+    let explained = solved(&(gram(jacobian, jacobian) + precision), &open);
+    square - explained.map_or(0.0, |x| x.iter().zip(&open).map(|(x, b)| x * b).sum())
 }
 
 /// Derivative of the residuals from `point` to `moved`.
@@ -198,4 +242,33 @@ pub(super) fn solved(a: &Mat<f64>, b: &[f64]) -> Option<Vec<f64>> {
     let solution = a.llt(Side::Lower).ok()?.solve(Mat::from_fn(b.len(), 1, |i, _| b[i]));
     let solution: Vec<f64> = (0..b.len()).map(|i| solution[(i, 0)]).collect();
     solution.iter().all(|x| x.is_finite()).then_some(solution)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_a_fit_has_left_open_is_no_surprise() {
+        let jacobian = Mat::from_fn(4, 2, |i, j| (1.0 + i as f64).powi(j as i32) * if i == 2 { -1.0 } else { 0.5 });
+        let precision = Mat::from_fn(2, 2, |i, j| if i == j { 0.7 + i as f64 } else { 0.2 });
+        let residual = [0.3, -1.2, 2.0, 0.8];
+        let covariance = precision.llt(Side::Lower).unwrap().solve(Mat::<f64>::identity(2, 2));
+        let spread = &jacobian * &covariance * jacobian.transpose() + Mat::<f64>::identity(4, 4);
+        let x = solved(&spread, &residual).unwrap();
+        let expected: f64 = x.iter().zip(&residual).map(|(x, r)| x * r).sum();
+        let square: f64 = residual.iter().map(|r| r * r).sum();
+        let found = beyond(&precision, &jacobian, &residual);
+        assert!((found - expected).abs() < 1e-12 * square && found < 0.9 * square, "{found} {expected} {square}");
+        let firm = faer::Scale(1e9) * &precision;
+        assert!((beyond(&firm, &jacobian, &residual) / square - 1.0).abs() < 1e-6, "nothing was left open");
+    }
+
+    #[test]
+    fn a_leash_costs_by_the_square_of_the_way() {
+        let point = Point { x: vec![1.0, 3.0], responses: Responses::default(), residual: vec![2.0], cost: 5.0 };
+        let leash = |hold: f64| Leash { from: vec![1.0, 1.0], weights: vec![hold, hold / 4.0] };
+        assert_eq!(point.tempered(2.0, &leash(0.0)), 4.0 + 2.0);
+        assert_eq!(point.tempered(2.0, &leash(10.0)), 4.0 + 2.0 * (1.0 + 10.0));
+    }
 }

@@ -14,12 +14,6 @@ impl Scene<'_> {
         alone
     }
 
-    /// The soil under `effects` in a situation, its nuisances being `x`: deviations that the neighbours follow.
-    pub(super) fn deviations(&self, effects: &[Box<dyn Effect>], situation: &Situation, x: &[f64]) -> Vec<f64> {
-        let shift = self.edited(effects, situation).1;
-        shift.iter().zip(x).map(|(shift, x)| shift + x).collect()
-    }
-
     /// What `effects` do to the velocities that neighbours follow, in the first event; empty where they follow none.
     pub(super) fn velocity_shift(&self, effects: &[Box<dyn Effect>]) -> Vec<f64> {
         self.problem.events.first().map_or(Vec::new(), |event| self.edited(effects, &event.situation).1)

@@ -13,6 +13,7 @@ use crate::effects::{self, Effect, Instance, Situation};
 use crate::error::Result;
 use crate::progress::Progress;
 use realfft::num_complex::Complex;
+use std::borrow::Cow;
 use std::sync::Arc;
 
 type C64 = Complex<f64>;
@@ -273,8 +274,8 @@ impl Neighbours {
         if !self.soil.iter().flatten().any(|s| s.range.is_some() && s.up.is_some()) {
             return vec![0.0; self.soil.len()];
         }
-        let mut plain = declared.clone();
-        self.declared.iter().for_each(|e| e.edit(&mut plain, situation));
+        let mut plain = Cow::Borrowed(declared);
+        self.declared.iter().for_each(|e| e.edit(plain.to_mut(), situation));
         let shift = self.soil.iter().map(|soil| match soil {
             Some(Soil { range: Some((range, deviation)), up: Some(_), .. }) => {
                 let ln = ln_velocity(edited, *range) - ln_velocity(&plain, *range);
@@ -378,7 +379,7 @@ mod tests {
             vs_m_s,
             k0: 0.5,
             law_kind: "elastic".into(),
-            law: toml::Table::new(),
+            law: Default::default(),
         };
         let profile = Profile {
             layers: vec![layer(0.75, 100.0), layer(0.25, 50.0), layer(2.0, 300.0)],

@@ -131,7 +131,7 @@ pub struct EventRemainder {
 pub struct Excess {
     /// Training events.
     pub train: f64,
-    /// Validation events.
+    /// Validation events, beyond what the training events have left open.
     pub validation: f64,
 }
 

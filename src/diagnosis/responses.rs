@@ -51,10 +51,12 @@ pub struct Scene<'a> {
 }
 
 /// Responses of the columns of all records.
-#[derive(Clone)]
+#[derive(Clone, Default)]
 pub struct Responses {
     /// By group and record.
     pub records: Vec<Vec<Arc<RecordResponse>>>,
+    /// What the effects do to the velocities that neighbours follow, prior standard deviations of each nuisance.
+    shifts: Vec<Vec<Vec<f64>>>,
 }
 
 /// The state of the input sensor as seen at three frequencies, and the channel that its motion is on.
@@ -81,6 +83,13 @@ pub struct RecordResponse {
     pub seen_by: InputSensor,
     /// Motion of each output sensor's place under `input`, cut and tapered as the record is, `[bin][sensor]`.
     pub motion: Vec<C64>,
+}
+
+impl Responses {
+    /// The soil of record `r` of group `g`, its nuisances being `x`: deviations that neighbours follow.
+    pub(super) fn deviations(&self, [g, r]: [usize; 2], x: &[f64]) -> Vec<f64> {
+        self.shifts[g][r].iter().zip(x).map(|(shift, x)| shift + x).collect()
+    }
 }
 
 impl<'a> Scene<'a> {
@@ -220,9 +229,11 @@ impl<'a> Scene<'a> {
             .collect();
         let mut columns: Vec<(Arc<Profile>, Arc<FastColumn>)> = Vec::new();
         let mut which: Vec<(usize, usize, usize)> = Vec::new();
+        let mut shifts: Vec<Vec<Vec<f64>>> = vec![Vec::new(); self.groups.len()];
         for &g in groups {
             for (r, record) in self.groups[g].records.iter().enumerate() {
-                let profile = self.profile(effects, &self.problem.events[record.event].situation);
+                let (profile, shift) = self.edited(effects, &self.problem.events[record.event].situation);
+                shifts[g].push(shift);
                 let known = columns.iter().position(|(p, _)| **p == profile);
                 let index = match known {
                     Some(index) => index,
@@ -262,7 +273,7 @@ impl<'a> Scene<'a> {
         for ((g, _, _), response) in which.iter().zip(computed) {
             records[*g].push(response);
         }
-        Ok(Responses { records })
+        Ok(Responses { records, shifts })
     }
 
     /// The fast column's profile.

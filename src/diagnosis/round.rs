@@ -14,6 +14,8 @@ use rayon::prelude::*;
 const STEPS: [usize; 2] = [6, 8];
 /// Share of the best gain above which the runner-up is confirmed too.
 const CLOSE_SHARE: f64 = 0.7;
+/// Effects that start by taking over what tolerances have in common with them.
+const TAKEN_OVER: usize = 4;
 /// Most replays of an effect to be confirmed.
 const REPLAYS: usize = 6;
 /// Effects weaker than this many prior standard deviations are not effects.
@@ -102,9 +104,7 @@ impl Search<'_> {
         let few = self.settings.finalists.div_ceil(2) + 1;
         let picked = self.picked(found, &open, few).into_iter();
         starts.extend(picked.map(|s| Start { instance: s.instance, x: joined(base.x(), &s.start), is_plain: false }));
-        for (instance, effect) in open.iter().enumerate() {
-            starts.extend(self.taken_over(&base, effect)?.map(|x| Start { instance, x, is_plain: false }));
-        }
+        starts.extend(self.taken_over(&base, anchor, &open)?);
         let fit = |start: &Start| {
             let instance = open[start.instance].clone();
             let mut effects = base.effects.clone();
@@ -132,12 +132,29 @@ impl Search<'_> {
         Ok(Round { base, fitted, anchor })
     }
 
-    /// Unknowns with `instance` where its velocities take over what those of the tolerances have in common with them: the same
-    /// motions, and room for more where a tolerance is at its end. `None` where there is nothing to take over.
+    /// Starts with an effect whose velocities take over what those of the tolerances have in common with them; the few of
+    /// `open` that cost least.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    fn taken_over(&self, base: &Model, anchor: &Anchor, open: &[Instance]) -> Result<Vec<Start>> {
+        let mut tried: Vec<(f64, Start)> = Vec::new();
+        for (instance, effect) in open.iter().enumerate() {
+            let Some(x) = self.instead(base, effect)? else { continue };
+            let effects = [&base.effects[..], &[effect.clone()]].concat();
+            let cost = self.fitter(anchor).at(&self.unknowns(&effects), &x, Some(&base.train.responses))?.cost;
+            tried.push((cost, Start { instance, x, is_plain: false }));
+        }
+        tried.sort_by(|a, b| a.0.total_cmp(&b.0));
+        Ok(tried.into_iter().take(TAKEN_OVER).map(|(_, start)| start).collect())
+    }
+
+    /// Unknowns with `instance` instead of what the velocities of the tolerances have in common with it: the same motions, and
+    /// room for more where a tolerance is at its end. `None` where there is nothing to take over.
     ///
     /// # Errors
     /// When the effect cannot be built.
-    fn taken_over(&self, base: &Model, instance: &Instance) -> Result<Option<Vec<f64>>> {
+    fn instead(&self, base: &Model, instance: &Instance) -> Result<Option<Vec<f64>>> {
         let (Some(zero), [free]) = (instance.zero(), &instance.free[..]) else { return Ok(None) };
         let step = TRIVIAL * free.parameter.prior_sd;
         let mut effects = effects::build_all(&self.scene.problem.declared)?;

@@ -38,6 +38,8 @@ pub struct Model {
     pub train: Point,
     /// At the same unknowns, validation events.
     pub validation: Point,
+    /// What these cost beyond what the training events have left open.
+    unforeseen: f64,
     /// Costs of training and validation events if only noise were left.
     pub expected: [f64; 2],
 }
@@ -48,12 +50,12 @@ impl Model {
         &self.train.x
     }
 
-    /// Σ|ρ|² of the validation events.
+    /// Σ|ρ|² of the validation events beyond what the training events have left open: [`Fitter::predictive`].
     pub fn validation_cost(&self) -> f64 {
-        square(&self.validation.residual)
+        self.unforeseen
     }
 
-    /// Cost with priors on training events plus Σ|ρ|² of the validation events.
+    /// Cost with priors on training events plus that of the validation events.
     pub fn cost(&self) -> f64 {
         self.train.cost + self.validation_cost()
     }
@@ -134,14 +136,30 @@ impl<'a> Search<'a> {
         near: Option<&Model>,
         steps: usize,
     ) -> Result<Model> {
+        self.settle_held(effects, x, (anchor, near), steps, 0.0)
+    }
+
+    /// The same with a `hold` on the way from `x`: [`Fitter::fit`].
+    ///
+    /// # Errors
+    /// When `x` cannot be evaluated.
+    pub fn settle_held(
+        &self,
+        effects: &[Instance],
+        x: &[f64],
+        (anchor, near): (&Anchor, Option<&Model>),
+        steps: usize,
+        hold: f64,
+    ) -> Result<Model> {
         let unknowns = self.unknowns(effects);
         let fitter = self.fitter(anchor);
         let start = fitter.at(&unknowns, x, near.map(|m| &m.train.responses))?;
-        let train = fitter.fit(&unknowns, start, steps)?;
+        let train = fitter.fit(&unknowns, start, steps, hold)?;
         let judge = Fitter { groups: &self.validation, ..fitter };
         let validation = judge.at(&unknowns, &train.x, near.map(|m| &m.validation.responses))?;
         let expected = [&train, &validation].map(|p| p.residual.len() as f64);
-        Ok(Model { effects: effects.to_vec(), train, validation, expected })
+        let unforeseen = fitter.predictive(&unknowns, &train, (&judge, &validation));
+        Ok(Model { effects: effects.to_vec(), train, validation, unforeseen, expected })
     }
 
     /// Replays the events at `x`, `before` being the anchor from which it was reached; without a replay, the fast column is its own anchor.

@@ -144,14 +144,20 @@ impl Unknowns<'_> {
 
     /// `[[effects]]` tables at `x`, nuisances first.
     pub fn tables(&self, x: &[f64]) -> Vec<toml::Table> {
-        let (nuisances, mut rest) = x.split_at(self.nuisances.len());
+        let (nuisances, others) = x.split_at(self.nuisances.len());
         let mut tables = nuisance_tables(self.nuisances, nuisances);
-        for effect in &self.effects {
-            let (own, others) = rest.split_at(effect.free.len());
-            tables.push(effect.at(own));
-            rest = others;
-        }
+        tables.extend(self.effect_tables(others));
         tables
+    }
+
+    /// Those of the effects alone.
+    fn effect_tables(&self, mut x: &[f64]) -> Vec<toml::Table> {
+        let table = |effect: &Instance| {
+            let (own, others) = x.split_at(effect.free.len());
+            x = others;
+            effect.at(own)
+        };
+        self.effects.iter().map(table).collect()
     }
 
     /// The declared effects and those at `x` that the fast column and the sensors take, built.
@@ -160,11 +166,11 @@ impl Unknowns<'_> {
     /// When a value is out of the range of its effect.
     pub fn build(&self, declared: &[toml::Table], x: &[f64]) -> Result<Vec<Box<dyn Effect>>> {
         let mut effects = effects::build_all(declared)?;
-        let mut x = x.to_vec();
-        if self.is_followed {
-            self.nuisances.iter().zip(&mut x).filter(|(n, _)| n.is_shaken).for_each(|(_, x)| *x = 0.0);
+        let (nuisances, others) = x.split_at(self.nuisances.len());
+        let taken = self.nuisances.iter().zip(nuisances).filter(|(n, _)| !(self.is_followed && n.is_shaken));
+        for table in taken.map(|(n, x)| n.table(*x)).chain(self.effect_tables(others)) {
+            effects.push(effects::build(&table)?);
         }
-        effects.extend(effects::build_all(&self.tables(&x))?);
         Ok(effects)
     }
 
@@ -178,6 +184,12 @@ impl Unknowns<'_> {
         for (x, [low, high]) in rest.iter_mut().zip(bounds) {
             *x = x.clamp(low, high);
         }
+    }
+
+    /// What counts as one step of each: a prior standard deviation of a nuisance, a typical size of an effect.
+    pub fn deviations(&self) -> Vec<f64> {
+        let effects = self.effects.iter().flat_map(|e| &e.free).map(|f| f.parameter.prior_sd);
+        self.nuisances.iter().map(|_| 1.0).chain(effects).collect()
     }
 
     /// Steps of finite differences: small, or the curvature of two ways to the same motion would tell them apart.
