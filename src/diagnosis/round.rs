@@ -141,7 +141,7 @@ impl Search<'_> {
         let mut tried: Vec<(f64, Start)> = Vec::new();
         for (instance, effect) in open.iter().enumerate() {
             let Some(x) = self.instead(base, effect)? else { continue };
-            let effects = [&base.effects[..], &[effect.clone()]].concat();
+            let effects = [&base.effects[..], std::slice::from_ref(effect)].concat();
             let cost = self.fitter(anchor).at(&self.unknowns(&effects), &x, Some(&base.train.responses))?.cost;
             tried.push((cost, Start { instance, x, is_plain: false }));
         }
