@@ -109,8 +109,8 @@ impl Fitter<'_> {
     /// |ρ|² + λ (|n|² + μ |x − x₀|²),   λ = max(1, |ρ|²/N) where the step starts
     /// ```
     ///
-    /// μ, the `hold`, keeps the fit near its start x₀ in prior standard deviations: so far replays have agreed with what lies
-    /// between them (Levenberg–Marquardt with the steps of the nonlinear column for its own).
+    /// μ, the `hold`, keeps the fit near its start x₀, in prior standard deviations, where a replay has not confirmed a longer
+    /// step: Levenberg–Marquardt with replays for its trial points.
     ///
     /// # Errors
     /// When the start cannot be evaluated.
