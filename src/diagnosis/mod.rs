@@ -1,13 +1,14 @@
 //! Which effect does the declared model lack? Recalibration within tolerances, search over a catalogue of named effects,
 //! confirmation with the nonlinear column, choice on validation events, and honest silence.
 //!
-//! Residuals come from replays of the finite-element column. What a change of the soil within its tolerances does to them is
-//! told by replays around the estimate, what an effect does by a linear-equivalent column in the frequency domain
-//! ([`FastColumn`]) that replays anchor; each further replay corrects both along the steps taken. Noise of the input sensor is in
-//! the cost, which therefore knows that a residual at a resonance of the column is worth little, and so is what a yielding
-//! column makes of that noise. Fits see training events alone; validation events are judged by what these let expect of them,
-//! the uncertainty of the fit included. Declared tolerances are nuisances of every test: only what they cannot explain may be called an
-//! effect, and the alarm thresholds are those of null twins of the same array.
+//! Residuals come from replays of the finite-element column. What a change of the soil within its tolerances does to
+//! them is told by replays around the estimate, what an effect does by a linear-equivalent column in the frequency
+//! domain ([`FastColumn`]) that replays anchor; each further replay corrects both along the steps taken. Noise of the
+//! input sensor is in the cost, which therefore knows that a residual at a resonance of the column is worth little, and
+//! so is what a yielding column makes of that noise. Fits see training events alone; validation events are judged by
+//! what these let expect of them, the uncertainty of the fit included. Declared tolerances are nuisances of every test:
+//! only what they cannot explain may be called an effect, and the alarm thresholds are those of null twins of the same
+//! array.
 
 mod anchor;
 mod centre;

@@ -53,7 +53,7 @@ impl Stage for TwinThresholds {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -82,7 +82,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn reads(&self) -> &'static [&'static str] {
