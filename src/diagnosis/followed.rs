@@ -31,16 +31,20 @@ impl Scene<'_> {
     }
 }
 
-/// `x` as anchors know it: effects in their typical sizes, those that neighbours follow as nuisances at nothing, since they are
-/// among these already.
+/// `x` as anchors know it: effects in their typical sizes; those that neighbours follow count as nuisances, and as nothing by
+/// themselves.
 ///
 /// # Errors
 /// When an effect cannot be built.
 pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> Result<Vec<f64>> {
-    let mut scaled = x.to_vec();
+    let mut scaled = unknowns.placed(x);
     let mut at = unknowns.nuisances.len();
     for instance in &unknowns.effects {
         let own = at..at + instance.free.len();
+        if unknowns.followed_as(instance).is_some() {
+            at = own.end;
+            continue;
+        }
         let mut effects = effects::build_all(&scene.problem.declared)?;
         effects.push(effects::build(&instance.at(&x[own.clone()]))?);
         let is_followed = scene.velocity_shift(&effects).iter().any(|s| *s != 0.0);

@@ -123,12 +123,13 @@ impl Scene<'_> {
             all.find_shares(common);
         }
         let built = unknowns.build(&self.problem.declared, x)?;
+        let placed = unknowns.placed(x);
         let centre = |record: &RecordSpectra| {
             let (profile, situation) = (&self.problem.array.profile, &self.problem.events[record.event].situation);
             let mut edited = profile.clone();
             built.iter().for_each(|e| e.edit(&mut edited, situation));
             let shift = all.take_velocities(profile, &mut edited, situation);
-            shift.iter().zip(x).map(|(shift, x)| shift + x).collect()
+            shift.iter().zip(&placed).map(|(shift, x)| shift + x).collect()
         };
         all.centre = self.groups.iter().map(|g| g.records.iter().map(centre).collect()).collect();
         let noisier = self.seen(&replay.replay_noisier(&unknowns.tables(x))?);

@@ -149,7 +149,7 @@ impl Search<'_> {
         Ok(tried.into_iter().take(TAKEN_OVER).map(|(_, start)| start).collect())
     }
 
-    /// Unknowns with `instance` instead of what the velocities of the tolerances have in common with it: the same motions, and
+    /// Unknowns with `instance` instead of the tolerance of the same kind, or of what velocities have in common with it: the same motions, and
     /// room for more where a tolerance is at its end. `None` where there is nothing to take over.
     ///
     /// # Errors
@@ -157,6 +157,14 @@ impl Search<'_> {
     fn instead(&self, base: &Model, instance: &Instance) -> Result<Option<Vec<f64>>> {
         let (Some(zero), [free]) = (instance.zero(), &instance.free[..]) else { return Ok(None) };
         let step = TRIVIAL * free.parameter.prior_sd;
+        let unknowns = self.unknowns(&base.effects);
+        if let Some(n) = unknowns.followed_as(instance) {
+            let own = zero[0] + base.x()[n] * self.nuisances[n].deviation;
+            let mut x = base.x().to_vec();
+            x[n] = 0.0;
+            x.push(own);
+            return Ok(((own - zero[0]).abs() > step).then_some(x));
+        }
         let mut effects = effects::build_all(&self.scene.problem.declared)?;
         effects.push(effects::build(&instance.at(&[zero[0] + step]))?);
         let shift: Vec<f64> = self.scene.velocity_shift(&effects).iter().map(|s| s / step).collect();

@@ -45,6 +45,11 @@ impl Nuisance {
         self.parameter().coordinate(self.instance.free[0].zero.unwrap_or(0.0))
     }
 
+    /// Prior standard deviations from the declared value at a `coordinate`.
+    pub fn deviations(&self, coordinate: f64) -> f64 {
+        (coordinate - self.zero()) / self.deviation
+    }
+
     /// Its value `x` prior standard deviations from the declared one.
     pub fn value(&self, x: f64) -> f64 {
         self.parameter().value(self.zero() + self.deviation * x)
@@ -160,6 +165,28 @@ impl Unknowns<'_> {
         self.effects.iter().map(table).collect()
     }
 
+    /// The nuisance that is the same thing as `effect`, where neighbours follow it: they follow the effect with it. What effects
+    /// do to velocities they follow in any case.
+    pub fn followed_as(&self, effect: &Instance) -> Option<usize> {
+        let same = |n: &Nuisance| n.instance.kind == effect.kind && n.instance.target == effect.target;
+        let is_other = effect.kind != "layer_velocity" && effect.free.len() == 1;
+        self.nuisances.iter().position(|n| self.is_followed && n.is_shaken && is_other && same(n))
+    }
+
+    /// `x` with what is followed as a nuisance among these, and nothing where it was.
+    pub fn placed(&self, x: &[f64]) -> Vec<f64> {
+        let mut placed = x.to_vec();
+        let mut at = self.nuisances.len();
+        for effect in &self.effects {
+            if let Some(nuisance) = self.followed_as(effect) {
+                placed[nuisance] += self.nuisances[nuisance].deviations(x[at]);
+                placed[at] = 0.0;
+            }
+            at += effect.free.len();
+        }
+        placed
+    }
+
     /// The declared effects and those at `x` that the fast column and the sensors take, built.
     ///
     /// # Errors
@@ -168,7 +195,8 @@ impl Unknowns<'_> {
         let mut effects = effects::build_all(declared)?;
         let (nuisances, others) = x.split_at(self.nuisances.len());
         let taken = self.nuisances.iter().zip(nuisances).filter(|(n, _)| !(self.is_followed && n.is_shaken));
-        for table in taken.map(|(n, x)| n.table(*x)).chain(self.effect_tables(others)) {
+        let own = self.effects.iter().zip(self.effect_tables(others)).filter(|(e, _)| self.followed_as(e).is_none());
+        for table in taken.map(|(n, x)| n.table(*x)).chain(own.map(|(_, table)| table)) {
             effects.push(effects::build(&table)?);
         }
         Ok(effects)
@@ -196,5 +224,26 @@ impl Unknowns<'_> {
     pub fn steps(&self) -> Vec<f64> {
         let nuisances = self.nuisances.iter().map(|_| 0.01);
         nuisances.chain(self.effects.iter().flat_map(|e| &e.free).map(|f| 0.005 * f.parameter.prior_sd)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_effect_that_is_a_tolerance_goes_where_that_goes() {
+        let nuisances = vec![
+            Nuisance::new("nonlinearity", &[], 0.15).unwrap(),
+            Nuisance::new("small_strain_damping", &[], 0.3).unwrap(),
+        ];
+        let effects = vec![nuisances[0].instance.clone()];
+        let followed = Unknowns { nuisances: &nuisances, effects, is_followed: true };
+        let x = [0.5, -1.0, -0.6];
+        let placed = followed.placed(&x);
+        assert!((placed[0] - (0.5 - 0.6 / 0.15)).abs() < 1e-12 && placed[1..] == [-1.0, 0.0]);
+        assert_eq!((followed.build(&[], &x).unwrap().len(), followed.tables(&x).len()), (0, 3));
+        let alone = Unknowns { is_followed: false, ..followed.clone() };
+        assert_eq!((alone.placed(&x), alone.build(&[], &x).unwrap().len()), (x.to_vec(), 3));
     }
 }
