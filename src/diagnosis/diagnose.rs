@@ -9,7 +9,8 @@ use super::responses::Scene;
 use super::round::{Fitted, Ground, Plain, parameters};
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
-use super::standing::{beside, decided, labels, standing, together};
+use super::standing::{beside, decided, labels, standing};
+use super::together::together;
 use super::unknowns::{MAX_DEVIATIONS, nuisances};
 use super::verdict;
 use crate::effects::{self, Instance};
@@ -95,8 +96,9 @@ fn diagnose_rest(
         }
         let corrected = &path.corrected;
         let anchor = scene.look_around(replay, settings, (&corrected.effects, corrected.x()), progress)?;
-        Search::new(&scene, settings, Some(replay))?.polish(&mut path, anchor, progress)?;
-        if path.corrected.excess() <= 0.0 {
+        let kept = path.accepted.len();
+        Search::new(&scene, settings, Some(replay))?.polish(&mut path, anchor, thresholds, progress)?;
+        if path.corrected.excess() <= 0.0 || path.accepted.len() < kept {
             break;
         }
     }
@@ -148,10 +150,10 @@ impl Search<'_> {
     ///
     /// # Errors
     /// When a replay is impossible.
-    fn polish(&self, path: &mut Path, anchor: Anchor, progress: &dyn Progress) -> Result<()> {
+    fn polish(&self, path: &mut Path, anchor: Anchor, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
         let (effects, x) = (path.corrected.effects.clone(), path.corrected.x().to_vec());
         (path.corrected, path.anchor) = self.settled(&effects, &x, anchor, progress)?;
-        self.drop_needless(path)
+        self.drop_needless(path, thresholds, progress)
     }
 
     /// Fits from `x` and its `anchor`, replays, and fits again as long as that helps.
@@ -315,10 +317,10 @@ impl Search<'_> {
         Ok((fitted, anchor))
     }
 
-    /// Takes out effects that later ones have made needless.
-    fn drop_needless(&self, path: &mut Path) -> Result<()> {
+    /// Takes out effects that would raise no alarm any more: later ones, or the replays around them, have made them needless.
+    fn drop_needless(&self, path: &mut Path, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
         let mut index = 0;
-        while path.accepted.len() > 1 && index + 1 < path.accepted.len() {
+        while index < path.accepted.len() {
             let mut effects = path.corrected.effects.clone();
             let dropped = effects.remove(index);
             let at = self.nuisances.len() + effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
@@ -326,7 +328,9 @@ impl Search<'_> {
             x.drain(at..at + dropped.free.len());
             let without = self.settle(&effects, &x, &path.anchor, Some(&path.corrected), STEPS[1])?;
             let level = path.corrected.level().max(1.0);
-            if (without.cost() - path.corrected.cost()) / level < self.charge() * parameters(&dropped) {
+            let gain = (without.cost() - path.corrected.cost()) / level - self.charge() * parameters(&dropped);
+            if gain < thresholds.gain {
+                progress.note(&format!("{} {} gains {gain:.0} no more", dropped.kind, dropped.place()));
                 path.corrected = without;
                 path.accepted.remove(index);
             } else {

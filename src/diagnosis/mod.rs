@@ -47,6 +47,7 @@ mod simulated;
 mod spectra;
 mod standing;
 mod surroundings;
+mod together;
 mod tuning;
 mod unknowns;
 mod verdict;

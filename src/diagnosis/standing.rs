@@ -2,13 +2,12 @@
 
 use super::hygiene::Suspicion;
 use super::low_frequency::{Error, Passed, passed};
-use super::outcome::{Candidate, Diagnosis, Estimate, Excess, Found, Verdict};
+use super::outcome::{Estimate, Found};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::unknowns::{nuisance_tables, nuisances};
-use super::verdict::excess;
 use crate::effects::{self, Array, Class};
 use crate::error::Result;
 use std::collections::BTreeMap;
@@ -97,7 +96,7 @@ pub fn decided(
 }
 
 /// The recalibrated model beside what stands, with an effect of `kind` more; with the tables of its nuisances.
-fn settled(
+pub(super) fn settled(
     problem: &Problem,
     replay: &dyn Replay,
     settings: &DiagnoseSettings,
@@ -166,61 +165,8 @@ impl Replay for Beside<'_> {
     }
 }
 
-/// What stands, and what else was found on top of it; the recalibrated model is that of `problem` without any of it.
-///
-/// # Errors
-/// As [`decided`].
-pub fn together(
-    standing: Vec<Standing>,
-    mut rest: Diagnosis,
-    problem: &Problem,
-    replay: &dyn Replay,
-    settings: &DiagnoseSettings,
-) -> Result<Diagnosis> {
-    if let Some((model, nuisances)) = settled(problem, replay, settings, &[], None)? {
-        let cost =
-            |e: &Excess| e.train * (2.0 * model.expected[0]).sqrt() + e.validation * (2.0 * model.expected[1]).sqrt();
-        rest.recalibrated = excess(&model);
-        let [lost, left] = [&rest.recalibrated, &rest.corrected].map(cost);
-        rest.explained_share = (lost > 0.0).then(|| (1.0 - left / lost).clamp(0.0, 1.0));
-        rest.nuisances = nuisances;
-    }
-    for Standing { found, alike, why } in &standing {
-        rest.notes.push(format!("`{}` at {} {why}", found.kind, found.target));
-        if alike.len() > 1 {
-            rest.notes.push(format!("at low frequencies {} look the same", alike.join(", ")));
-        }
-        // Kinds that explain the records as well are named with those that were chosen.
-        let named = if alike.len() > 1 || !rest.ambiguity.is_empty() { alike.as_slice() } else { &[] };
-        let new: Vec<String> = named.iter().filter(|kind| !rest.ambiguity.contains(kind)).cloned().collect();
-        rest.ambiguity.extend(new);
-    }
-    // What stands counts among the named effects: structure may remain beside them, as beside any others.
-    let is_explained = rest.explained_share.is_some_and(|share| share >= settings.known_share);
-    rest.verdict = match rest.verdict {
-        Verdict::Unknown if !is_explained => Verdict::Unknown,
-        Verdict::Ambiguous => Verdict::Ambiguous,
-        _ if standing.iter().any(|s| s.alike.len() > 1) => Verdict::Ambiguous,
-        _ => Verdict::Known,
-    };
-    let tried = standing.iter().map(|s| Candidate {
-        kind: s.found.kind.clone(),
-        target: s.found.target.clone(),
-        class: s.found.class,
-        gain: s.found.gain,
-        validation_gain: s.found.validation_gain,
-        explained_share: rest.explained_share.unwrap_or_default(),
-        round: 0,
-        is_confirmed: true,
-        table: s.found.table.clone(),
-    });
-    rest.candidates.splice(0..0, tried.collect::<Vec<_>>());
-    rest.effects.splice(0..0, standing.into_iter().map(|s| s.found));
-    Ok(rest)
-}
-
 /// Kinds of [`Passed::errors`], with the parameter and its unit.
-const KINDS: [[&str; 3]; 4] = [
+pub(super) const KINDS: [[&str; 3]; 4] = [
     ["sensor_gain", "ln_gain", ""],
     ["clock_offset", "offset_s", "s"],
     ["instrument_high_pass", "corner_hz", "Hz"],

@@ -1,0 +1,127 @@
+//! What stands whatever the profile, and what the search found on top of it, as one diagnosis.
+
+use super::outcome::{Candidate, Diagnosis, Excess, Found, Verdict};
+use super::problem::{Problem, Replay};
+use super::settings::DiagnoseSettings;
+use super::standing::{KINDS, Standing, settled};
+use super::unknowns::TOLERATED;
+use super::verdict::excess;
+use crate::error::Result;
+use crate::manifest::Tolerances;
+use toml::Value;
+
+/// What stands, and what else was found on top of it; the recalibrated model is that of `problem` without any of it.
+///
+/// # Errors
+/// As [`decided`].
+pub fn together(
+    mut standing: Vec<Standing>,
+    mut rest: Diagnosis,
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+) -> Result<Diagnosis> {
+    merge(&mut standing, &mut rest.effects, &problem.tolerances);
+    if let Some((model, nuisances)) = settled(problem, replay, settings, &[], None)? {
+        let cost =
+            |e: &Excess| e.train * (2.0 * model.expected[0]).sqrt() + e.validation * (2.0 * model.expected[1]).sqrt();
+        rest.recalibrated = excess(&model);
+        let [lost, left] = [&rest.recalibrated, &rest.corrected].map(cost);
+        rest.explained_share = (lost > 0.0).then(|| (1.0 - left / lost).clamp(0.0, 1.0));
+        rest.nuisances = nuisances;
+    }
+    for Standing { found, alike, why } in &standing {
+        rest.notes.push(format!("`{}` at {} {why}", found.kind, found.target));
+        if alike.len() > 1 {
+            rest.notes.push(format!("at low frequencies {} look the same", alike.join(", ")));
+        }
+        // Kinds that explain the records as well are named with those that were chosen.
+        let named = if alike.len() > 1 || !rest.ambiguity.is_empty() { alike.as_slice() } else { &[] };
+        let new: Vec<String> = named.iter().filter(|kind| !rest.ambiguity.contains(kind)).cloned().collect();
+        rest.ambiguity.extend(new);
+    }
+    // What stands counts among the named effects: structure may remain beside them, as beside any others.
+    let is_explained = rest.explained_share.is_some_and(|share| share >= settings.known_share);
+    let is_named = !standing.is_empty() || !rest.effects.is_empty();
+    rest.verdict = match rest.verdict {
+        Verdict::Unknown if !is_explained => Verdict::Unknown,
+        _ if !is_named => Verdict::None,
+        Verdict::Ambiguous => Verdict::Ambiguous,
+        _ if standing.iter().any(|s| s.alike.len() > 1) => Verdict::Ambiguous,
+        _ => Verdict::Known,
+    };
+    let tried = standing.iter().map(|s| Candidate {
+        kind: s.found.kind.clone(),
+        target: s.found.target.clone(),
+        class: s.found.class,
+        gain: s.found.gain,
+        validation_gain: s.found.validation_gain,
+        explained_share: rest.explained_share.unwrap_or_default(),
+        round: 0,
+        is_confirmed: true,
+        table: s.found.table.clone(),
+    });
+    rest.candidates.splice(0..0, tried.collect::<Vec<_>>());
+    rest.effects.splice(0..0, standing.into_iter().map(|s| s.found));
+    Ok(rest)
+}
+
+/// The search has the whole band and all sensors to correct what stands: an error that it found at the same sensor is one with
+/// that, and where the two take each other away within the tolerance, there is none.
+fn merge(standing: &mut Vec<Standing>, rest: &mut Vec<Found>, tolerances: &Tolerances) {
+    standing.retain_mut(|Standing { found, .. }| {
+        let additive = KINDS.iter().filter(|[_, key, _]| *key != "corner_hz").find(|[kind, ..]| *kind == found.kind);
+        let Some([kind, key, _]) = additive else { return true };
+        let again = rest.iter().position(|f| f.kind == found.kind && f.target == found.target);
+        let Some(more) = again.map(|i| rest.remove(i)) else { return true };
+        let (Some(own), Some(more)) = (found.parameters.get_mut(*key), more.parameters.get(*key)) else { return true };
+        own.ci95 = more.ci95.map(|end| end + own.value);
+        own.value += more.value;
+        found.table.insert((*key).into(), Value::Float(own.value));
+        let tolerance = match *kind {
+            "sensor_gain" => tolerances.gain_ln,
+            "clock_offset" => tolerances.clock_s,
+            _ => tolerances.orientation_deg,
+        };
+        own.value.abs() > TOLERATED * tolerance
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::Estimate;
+    use crate::effects::Class;
+    use std::collections::BTreeMap;
+
+    fn turned(sensor: &str, azimuth_deg: f64) -> Found {
+        let ci95 = [azimuth_deg - 1.0, azimuth_deg + 1.0];
+        Found {
+            kind: "sensor_orientation".into(),
+            target: sensor.into(),
+            class: Class::Sensor,
+            table: toml::Table::from_iter([("azimuth_deg".to_string(), Value::Float(azimuth_deg))]),
+            parameters: BTreeMap::from([(
+                "azimuth_deg".to_string(),
+                Estimate { value: azimuth_deg, unit: "°".into(), ci95 },
+            )]),
+            gain: 1.0,
+            validation_gain: 1.0,
+            is_standing: true,
+        }
+    }
+
+    #[test]
+    fn one_error_is_named_once() {
+        let stands = |sensor, angle| Standing { found: turned(sensor, angle), alike: Vec::new(), why: "" };
+        let mut standing = vec![stands("base", -6.0), stands("middle", 9.0), stands("top", 20.0)];
+        let mut rest = vec![turned("base", 5.5), turned("middle", 1.5), turned("other", 7.0)];
+        merge(&mut standing, &mut rest, &Tolerances::default());
+        let named: Vec<(&str, f64)> =
+            standing.iter().map(|s| (s.found.target.as_str(), s.found.parameters["azimuth_deg"].value)).collect();
+        assert_eq!(named, [("middle", 10.5), ("top", 20.0)]);
+        assert_eq!(standing[0].found.table["azimuth_deg"].as_float(), Some(10.5));
+        assert_eq!(standing[0].found.parameters["azimuth_deg"].ci95, [9.5, 11.5]);
+        assert_eq!(rest.iter().map(|f| f.target.as_str()).collect::<Vec<_>>(), ["other"]);
+    }
+}
