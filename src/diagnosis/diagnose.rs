@@ -25,6 +25,8 @@ const MAX_ANCHORS: usize = 10;
 const LOOKS: [usize; 2] = [2, 3];
 /// Standard deviations by which costs exceed those of noise where the last of them is taken.
 const SURPRISE: f64 = 1.0;
+/// Share of the excess over noise that a look must leave at most for another to be worth it: more is wrong than tolerances.
+const WORTHWHILE: f64 = 0.7;
 /// Replays in a row that end a recalibration by being no better than the best one.
 const MAX_FAILURES: usize = 3;
 /// Hold on a fit after the first replay that did not keep what the fit promised, and its growth with each more.
@@ -75,16 +77,19 @@ fn diagnose_rest(
     }
     let plain = centre(&scene, replay, settings, &declared, progress)?;
     let mut path = None;
+    let mut before = f64::INFINITY;
     for look in 1..=LOOKS[1] {
         let centre = path.as_ref().map_or(&plain, |p: &Path| &p.recalibrated.train.x).clone();
         scene.look_around(replay, settings, (&[], &centre), progress)?;
         let found = Search::new(&scene, settings, Some(replay))?.recalibrated(&plain, &centre, progress)?;
         let [train, validation] = found.recalibrated.surprise();
         progress.note(&format!("recalibrated: {train:.1} and {validation:.1} standard deviations more than noise"));
+        let excess = found.recalibrated.excess();
         path = Some(found);
-        if look >= LOOKS[0] && train.max(validation) < SURPRISE {
+        if look >= LOOKS[0] && (train.max(validation) < SURPRISE || excess > WORTHWHILE * before) {
             break;
         }
+        before = excess;
     }
     let mut path = path.ok_or_else(|| Error::new("nothing was recalibrated"))?;
     progress.start("diagnosis", settings.max_effects as u64);
