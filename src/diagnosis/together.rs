@@ -13,7 +13,7 @@ use toml::Value;
 /// What stands, and what else was found on top of it; the recalibrated model is that of `problem` without any of it.
 ///
 /// # Errors
-/// As [`decided`].
+/// When an event is unusable or a replay is impossible.
 pub fn together(
     mut standing: Vec<Standing>,
     mut rest: Diagnosis,
