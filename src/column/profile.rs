@@ -44,6 +44,14 @@ pub struct Layer {
     pub law: Arc<toml::Table>,
 }
 
+#[cfg(test)]
+impl Layer {
+    /// A layer with K₀ = 0.5 whose law is left to its defaults.
+    pub(crate) fn plain(law_kind: &str, thickness_m: f64, density_kg_m3: f64, vs_m_s: f64) -> Self {
+        Self { thickness_m, density_kg_m3, vs_m_s, k0: 0.5, law_kind: law_kind.into(), law: Arc::default() }
+    }
+}
+
 /// Vertical motion above the base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]

@@ -151,7 +151,8 @@ impl Search<'_> {
         Ok(true)
     }
 
-    /// Fits the corrected model once more with the replays around it, from its `anchor` there, and takes out what that makes needless.
+    /// Fits the corrected model once more with the replays around it, from its `anchor` there, and takes out what that makes
+    /// needless.
     ///
     /// # Errors
     /// When a replay is impossible.

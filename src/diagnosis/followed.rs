@@ -1,5 +1,6 @@
 //! Which part of a model neighbours follow, and which the fast column.
 
+use super::neighbours::Neighbours;
 use super::responses::Scene;
 use super::unknowns::Unknowns;
 use crate::column::Profile;
@@ -21,12 +22,22 @@ impl Scene<'_> {
 
     /// The fast column's profile, and what `effects` do to velocities where neighbours follow these.
     pub(super) fn edited(&self, effects: &[Box<dyn Effect>], situation: &Situation) -> (Profile, Vec<f64>) {
-        let mut profile = self.problem.array.profile.clone();
+        self.edited_beside(self.neighbours.as_deref(), effects, situation)
+    }
+
+    /// The same beside `neighbours` that are not the scene's yet.
+    pub(super) fn edited_beside(
+        &self,
+        neighbours: Option<&Neighbours>,
+        effects: &[Box<dyn Effect>],
+        situation: &Situation,
+    ) -> (Profile, Vec<f64>) {
+        let declared = &self.problem.array.profile;
+        let mut profile = declared.clone();
         for effect in effects {
             effect.edit(&mut profile, situation);
         }
-        let taken =
-            self.neighbours.as_ref().map(|n| n.take_velocities(&self.problem.array.profile, &mut profile, situation));
+        let taken = neighbours.map(|n| n.take_velocities(declared, &mut profile, situation));
         (profile, taken.unwrap_or_default())
     }
 }

@@ -125,10 +125,8 @@ impl Scene<'_> {
         let built = unknowns.build(&self.problem.declared, x)?;
         let placed = unknowns.placed(x);
         let centre = |record: &RecordSpectra| {
-            let (profile, situation) = (&self.problem.array.profile, &self.problem.events[record.event].situation);
-            let mut edited = profile.clone();
-            built.iter().for_each(|e| e.edit(&mut edited, situation));
-            let shift = all.take_velocities(profile, &mut edited, situation);
+            let situation = &self.problem.events[record.event].situation;
+            let shift = self.edited_beside(Some(&all), &built, situation).1;
             shift.iter().zip(&placed).map(|(shift, x)| shift + x).collect()
         };
         all.centre = self.groups.iter().map(|g| g.records.iter().map(centre).collect()).collect();
@@ -374,14 +372,7 @@ mod tests {
 
     #[test]
     fn a_seam_counts_by_its_compliance() {
-        let layer = |thickness_m: f64, vs_m_s: f64| Layer {
-            thickness_m,
-            density_kg_m3: 2000.0,
-            vs_m_s,
-            k0: 0.5,
-            law_kind: "elastic".into(),
-            law: Default::default(),
-        };
+        let layer = |thickness_m: f64, vs_m_s: f64| Layer::plain("elastic", thickness_m, 2000.0, vs_m_s);
         let profile = Profile {
             layers: vec![layer(0.75, 100.0), layer(0.25, 50.0), layer(2.0, 300.0)],
             water_table_m: 0.0,

@@ -4,7 +4,7 @@ use super::anchor::Anchor;
 use super::line::hidden;
 use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
-use super::unknowns::{Nuisance, TOLERATED};
+use super::unknowns::TOLERATED;
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
@@ -253,9 +253,7 @@ impl Search<'_> {
 
     /// The nuisance that is the same thing as this effect, and its value, prior standard deviations, that would replace both.
     pub(super) fn tolerance(&self, fitted: &Fitted) -> Option<(usize, f64)> {
-        let same =
-            |n: &Nuisance| n.instance.kind == fitted.instance.kind && n.instance.target == fitted.instance.target;
-        let i = self.nuisances.iter().position(same)?;
+        let i = self.nuisances.iter().position(|n| n.instance.is_same(&fitted.instance))?;
         let ([zero], x) = (&fitted.instance.zero()?[..], fitted.model.x()) else { return None };
         Some((i, x[i] + (x.last()? - zero) / self.nuisances[i].deviation))
     }
@@ -351,7 +349,7 @@ pub fn parameters(instance: &Instance) -> f64 {
 }
 
 fn is_taken(instance: &Instance, effects: &[Instance]) -> bool {
-    effects.iter().any(|e| e.kind == instance.kind && e.target == instance.target)
+    effects.iter().any(|e| e.is_same(instance))
 }
 
 fn joined(x: &[f64], start: &[f64]) -> Vec<f64> {

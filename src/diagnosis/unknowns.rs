@@ -168,9 +168,8 @@ impl Unknowns<'_> {
     /// The nuisance that is the same thing as `effect`, where neighbours follow it: they follow the effect with it. What effects
     /// do to velocities they follow in any case.
     pub fn followed_as(&self, effect: &Instance) -> Option<usize> {
-        let same = |n: &Nuisance| n.instance.kind == effect.kind && n.instance.target == effect.target;
         let is_other = effect.kind != "layer_velocity" && effect.free.len() == 1;
-        self.nuisances.iter().position(|n| self.is_followed && n.is_shaken && is_other && same(n))
+        self.nuisances.iter().position(|n| self.is_followed && n.is_shaken && is_other && n.instance.is_same(effect))
     }
 
     /// `x` with what is followed as a nuisance among these, and nothing where it was.

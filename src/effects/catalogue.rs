@@ -178,6 +178,11 @@ impl Instance {
         Self { kind, target: target.into_iter().map(|(k, v)| (k.to_string(), v)).collect(), free }
     }
 
+    /// Whether it is the same kind at the same place.
+    pub fn is_same(&self, other: &Self) -> bool {
+        self.kind == other.kind && self.target == other.target
+    }
+
     /// The `[[effects]]` table at the given values of the free parameters.
     pub fn table(&self, values: &[f64]) -> toml::Table {
         let mut table = toml::Table::from_iter([("kind".to_string(), Value::from(self.kind))]);

@@ -60,14 +60,7 @@ pub(super) mod tests {
 
     /// Two layers of 2 m.
     pub(crate) fn profile(law_kind: &str) -> Profile {
-        let layer = Layer {
-            thickness_m: 2.0,
-            density_kg_m3: 1900.0,
-            vs_m_s: 150.0,
-            k0: 0.5,
-            law_kind: law_kind.into(),
-            law: Arc::default(),
-        };
+        let layer = Layer::plain(law_kind, 2.0, 1900.0, 150.0);
         Profile {
             layers: vec![layer.clone(), layer],
             water_table_m: 1.0,

@@ -5,14 +5,7 @@ use crate::column::{Analysis, Column, Features, Layer, Rayleigh, Vertical};
 use std::collections::BTreeSet;
 
 fn array() -> Array {
-    let layer = |thickness_m: f64, vs_m_s: f64, law_kind: &str| Layer {
-        thickness_m,
-        density_kg_m3: 1900.0,
-        vs_m_s,
-        k0: 0.5,
-        law_kind: law_kind.into(),
-        law: Default::default(),
-    };
+    let layer = |thickness_m: f64, vs_m_s: f64, law_kind: &str| Layer::plain(law_kind, thickness_m, 1900.0, vs_m_s);
     Array {
         profile: Profile {
             layers: vec![layer(3.0, 130.0, "hyperbolic"), layer(4.0, 170.0, "sanisand"), layer(3.0, 220.0, "elastic")],

@@ -14,16 +14,8 @@ const STEPS: usize = 2048;
 const DEPTH_M: f64 = 40.0;
 
 fn array(vs_m_s: f64) -> Array {
-    let layer = Layer {
-        thickness_m: DEPTH_M,
-        density_kg_m3: 2000.0,
-        vs_m_s,
-        k0: 0.5,
-        law_kind: "elastic".into(),
-        law: Default::default(),
-    };
     let profile = Profile {
-        layers: vec![layer],
+        layers: vec![Layer::plain("elastic", DEPTH_M, 2000.0, vs_m_s)],
         water_table_m: 100.0,
         vertical: Vertical::Free,
         rayleigh: Rayleigh::default(),
