@@ -1,7 +1,6 @@
 //! Where to look around: the damping of the soil is found before its velocities.
 
-use super::anchor::Anchor;
-use super::problem::Replay;
+use super::problem::{Replay, Roughly};
 use super::responses::Scene;
 use super::search::Search;
 use super::settings::DiagnoseSettings;
@@ -26,10 +25,10 @@ pub(super) fn centre(
     scene: &Scene<'_>,
     replay: &dyn Replay,
     settings: &DiagnoseSettings,
-    declared: &Anchor,
     progress: &dyn Progress,
 ) -> Result<Vec<f64>> {
-    let search = Search::new(scene, settings, Some(replay))?;
+    let replay = Roughly(replay);
+    let search = Search::new(scene, settings, Some(&replay))?;
     let zero = vec![0.0; search.nuisances.len()];
     let Some(damping) = search.nuisances.iter().position(|n| n.instance.kind == "small_strain_damping") else {
         return Ok(zero);
@@ -41,7 +40,7 @@ pub(super) fn centre(
         let cost = search.settle(&[], &nuisances, &anchor, None, 0)?.cost();
         Ok((nuisances, cost))
     };
-    let declared = search.settle(&[], &zero, declared, None, 0)?.cost();
+    let declared = at(0.0)?.1;
     let mut tried = vec![(0.0, declared)];
     let mut best = (zero.clone(), declared);
     for sign in [1.0, -1.0] {

@@ -3,19 +3,20 @@
 use super::anchor::Anchor;
 use super::centre::centre;
 use super::hygiene::suspicion;
-use super::outcome::{Candidate, Diagnosis, Thresholds};
+use super::outcome::{Candidate, Diagnosis, Thresholds, Verdict};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::round::{Fitted, Ground, Plain, parameters};
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
-use super::standing::{beside, decided, labels, standing};
+use super::standing::{Standing, beside, decided, labels, others, standing};
 use super::together::together;
 use super::unknowns::{MAX_DEVIATIONS, nuisances};
 use super::verdict;
 use crate::effects::{self, Instance};
 use crate::error::{Error, Result};
 use crate::progress::Progress;
+use std::cmp::Ordering;
 
 /// Most steps of the recalibration, and after a new anchor.
 const STEPS: [usize; 2] = [12, 6];
@@ -31,6 +32,8 @@ const WORTHWHILE: f64 = 0.7;
 const MAX_FAILURES: usize = 3;
 /// Hold on a fit after the first replay that did not keep what the fit promised, and its growth with each more.
 const HOLD: [f64; 2] = [10.0, 10.0];
+/// Standard deviations beyond noise up to which nothing is left.
+const CLEAN: f64 = 3.0;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -46,15 +49,43 @@ pub fn diagnose(
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
     let standing = decided(standing(problem, settings), problem, replay, settings)?;
-    if standing.is_empty() {
-        return diagnose_rest(problem, replay, settings, thresholds, progress);
+    let answer = |standing: Vec<Standing>| -> Result<Diagnosis> {
+        if standing.is_empty() {
+            return diagnose_rest(problem, replay, settings, thresholds, progress);
+        }
+        for s in &standing {
+            progress.note(&format!("{} {} stands whatever the profile", s.found.kind, s.found.target));
+        }
+        let (known, beside) = beside(problem, replay, &standing);
+        let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
+        together(standing, rest, problem, replay, settings)
+    };
+    let others = others(&standing, &problem.array);
+    let mut best = answer(standing)?;
+    for other in others {
+        if is_enough(&best) {
+            break;
+        }
+        let found = answer(other)?;
+        if is_better(&found, &best) {
+            best = found;
+        }
     }
-    for s in &standing {
-        progress.note(&format!("{} {} stands whatever the profile", s.found.kind, s.found.target));
+    Ok(best)
+}
+
+/// Whether what stands needed nothing beside it.
+fn is_enough(diagnosis: &Diagnosis) -> bool {
+    diagnosis.verdict != Verdict::Unknown && diagnosis.effects.iter().all(|f| f.is_standing)
+}
+
+/// Whether `one` leaves less than `other`, or no more than noise with fewer effects.
+fn is_better(one: &Diagnosis, other: &Diagnosis) -> bool {
+    let left = |d: &Diagnosis| d.corrected.train.max(d.corrected.validation).max(CLEAN);
+    match left(one).total_cmp(&left(other)) {
+        Ordering::Equal => one.effects.len() < other.effects.len(),
+        order => order.is_lt(),
     }
-    let (known, beside) = beside(problem, replay, &standing);
-    let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
-    together(standing, rest, problem, replay, settings)
 }
 
 /// What the declared model and its `declared` effects lack.
@@ -75,7 +106,7 @@ fn diagnose_rest(
         let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
         return together(labels, rest, problem, replay, settings);
     }
-    let plain = centre(&scene, replay, settings, &declared, progress)?;
+    let plain = centre(&scene, replay, settings, progress)?;
     let mut path = None;
     let mut before = f64::INFINITY;
     for look in 1..=LOOKS[1] {
@@ -93,7 +124,9 @@ fn diagnose_rest(
     }
     let mut path = path.ok_or_else(|| Error::new("nothing was recalibrated"))?;
     progress.start("diagnosis", settings.max_effects as u64);
-    for number in 1..=settings.max_effects {
+    // Where the recalibrated model leaves no more than noise, there is nothing to explain.
+    let rounds = if path.recalibrated.excess() > 0.0 { settings.max_effects } else { 0 };
+    for number in 1..=rounds {
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, number, thresholds, progress)?;
         progress.advance(1);
         if !is_found {

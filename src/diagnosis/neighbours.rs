@@ -95,14 +95,14 @@ impl Scene<'_> {
             declared: effects::build_all(&self.problem.declared)?,
             soil: nuisances.iter().map(|n| n.is_shaken.then(|| Soil::of(n))).collect(),
             stretch: None,
-            replays: vec![self.seen(&replay.replay(&unknowns.tables(x))?)],
+            replays: vec![self.seen(&replay.replay_roughly(&unknowns.tables(x))?)],
             centre: Vec::new(),
         };
         progress.start("neighbours", (nuisances.len() + STRETCH.len()) as u64);
         let run = |all: &mut Neighbours, nuisance: usize, deviations: f64| -> Result<usize> {
             let mut x = x.to_vec();
             x[nuisance] += deviations;
-            all.replays.push(self.seen(&replay.replay(&unknowns.tables(&x))?));
+            all.replays.push(self.seen(&replay.replay_roughly(&unknowns.tables(&x))?));
             progress.advance(1);
             Ok(all.replays.len() - 1)
         };

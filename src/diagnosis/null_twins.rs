@@ -42,7 +42,7 @@ pub fn thresholds(
     let mut scene = Scene::new(problem, settings)?;
     let mut anchor = scene.declared(replay, nuisances(problem)?.len())?;
     if let Some(replay) = replay {
-        let centre = centre(&scene, replay, settings, &anchor, progress)?;
+        let centre = centre(&scene, replay, settings, progress)?;
         anchor = scene.look_around(replay, settings, (&[], &centre), progress)?;
     }
     progress.start("null twins", settings.null_twins as u64);

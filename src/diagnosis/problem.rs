@@ -82,11 +82,34 @@ pub trait Replay: Sync {
     /// When the column cannot be built or no event finishes.
     fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>>;
 
-    /// The same with noise of the input sensor drawn and added to its records; who has no noise to draw replays as before.
+    /// The same in fewer elements and longer steps where there are such: what differs between two of these is what would
+    /// differ between two of [`Replay::replay`], and costs less.
+    ///
+    /// # Errors
+    /// As [`Replay::replay`].
+    fn replay_roughly(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.replay(effects)
+    }
+
+    /// As [`Replay::replay_roughly`], with noise of the input sensor drawn and added to its records; who has no noise to draw
+    /// replays as before.
     ///
     /// # Errors
     /// As [`Replay::replay`].
     fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-        self.replay(effects)
+        self.replay_roughly(effects)
+    }
+}
+
+/// Replays roughly where it is asked to replay: enough to find the way.
+pub(super) struct Roughly<'a>(pub &'a dyn Replay);
+
+impl Replay for Roughly<'_> {
+    fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.0.replay_roughly(effects)
+    }
+
+    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.0.replay_noisier(effects)
     }
 }

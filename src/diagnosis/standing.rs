@@ -95,6 +95,24 @@ pub fn decided(
     Ok(standing)
 }
 
+/// What may stand instead: each of the kinds that look the same at low frequencies, and nothing, for these may have been the
+/// soil's.
+pub(super) fn others(standing: &[Standing], array: &Array) -> Vec<Vec<Standing>> {
+    let mut all = Vec::new();
+    for (at, own) in standing.iter().enumerate() {
+        if let Some(other) = low_pass(own, array).filter(|l| own.alike.contains(&l.found.kind)) {
+            let mut instead = standing.to_vec();
+            // Where it is better than its like, it is told from them.
+            instead[at] = Standing { alike: Vec::new(), ..other };
+            all.push(instead);
+        }
+    }
+    if !standing.is_empty() {
+        all.push(Vec::new());
+    }
+    all
+}
+
 /// The recalibrated model beside what stands, with an effect of `kind` more; with the tables of its nuisances.
 pub(super) fn settled(
     problem: &Problem,
@@ -157,6 +175,11 @@ impl Replay for Beside<'_> {
     fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
         let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
         self.replay.replay(&all)
+    }
+
+    fn replay_roughly(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
+        self.replay.replay_roughly(&all)
     }
 
     fn replay_noisier(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
@@ -330,6 +353,30 @@ mod tests {
         assert_eq!(of(&[0.3, 0.0, 0.01]), None);
         assert_eq!(of(&[0.3, 0.0]), None);
         assert_eq!(of(&[0.3, 0.3, 0.6]), Some(0.3));
+    }
+
+    #[test]
+    fn what_stands_gives_way_to_its_like_and_to_nothing() {
+        let array = Array {
+            profile: crate::column::Profile {
+                layers: Vec::new(),
+                water_table_m: 0.0,
+                vertical: Default::default(),
+                rayleigh: Default::default(),
+                elements: 1,
+                features: Default::default(),
+            },
+            input: "base".into(),
+            outputs: vec!["middle".into(), "top".into()],
+            depths_m: vec![5.0, 0.0],
+            components: vec!["EW".into()],
+        };
+        let late = effect(1, "top", Error { value: 0.02, deviation: 0.001 }, false);
+        let loud = effect(0, "middle", Error { value: 0.3, deviation: 0.01 }, false);
+        let kinds = |standing: &[Standing]| standing.iter().map(|s| s.found.kind.clone()).collect::<Vec<_>>();
+        let found: Vec<Vec<String>> = others(&[loud, late], &array).iter().map(|s| kinds(s)).collect();
+        assert_eq!(found, [vec!["sensor_gain".to_string(), "instrument_low_pass".to_string()], vec![]]);
+        assert!(others(&[], &array).is_empty());
     }
 
     #[test]

@@ -219,10 +219,15 @@ impl Unknowns<'_> {
         self.nuisances.iter().map(|_| 1.0).chain(effects).collect()
     }
 
-    /// Steps of finite differences: small, or the curvature of two ways to the same motion would tell them apart.
+    /// Steps of finite differences: small, and the same for a nuisance and the effect that is the same thing, or the curvature of
+    /// two ways to the same motion would tell them apart.
     pub fn steps(&self) -> Vec<f64> {
-        let nuisances = self.nuisances.iter().map(|_| 0.01);
-        nuisances.chain(self.effects.iter().flat_map(|e| &e.free).map(|f| 0.005 * f.parameter.prior_sd)).collect()
+        let alike = |e: &Instance| self.nuisances.iter().find(|n| n.instance.is_same(e)).map(|n| 0.001 * n.deviation);
+        let own = |e: &Instance| -> Vec<f64> {
+            let alike = alike(e);
+            e.free.iter().map(|f| alike.unwrap_or(0.0005 * f.parameter.prior_sd)).collect()
+        };
+        self.nuisances.iter().map(|_| 0.001).chain(self.effects.iter().flat_map(own)).collect()
     }
 }
 

@@ -16,6 +16,8 @@ use toml::Table;
 
 /// Longest stretch of an event that is replayed, s: what is compared, and a lead for the column to forget that it began at rest.
 const LONGEST_S: f64 = 45.0;
+/// Elements to the shortest wave where replays are compared with each other only.
+const PER_WAVE: f64 = 20.0;
 /// That lead, s.
 const LEAD_S: f64 = 3.0;
 
@@ -40,6 +42,8 @@ pub struct Bench<'a> {
     /// Where replays are cached; without one they are computed every time.
     task: Option<&'a Task<'a>>,
     sections: ColumnSections,
+    /// The same in fewer elements and longer steps, for differences between replays.
+    rough: ColumnSections,
     settings: RecordSettings,
     /// Their inputs without what is noise: what the column is shaken with.
     events: Vec<Vec<Record>>,
@@ -57,21 +61,23 @@ impl<'a> Bench<'a> {
         let settings: RecordSettings = task.section("records")?;
         let opened = records::settings_without_test(task)?;
         let found = by_event(records::read(task.input("records")?, &opened, &sections.sensors)?.records);
-        let sections = refined(sections, &task.section("diagnose")?);
-        Self::new(Some(task), sections, task.section("tolerances")?, settings, found)
+        let both = (sections, &task.section("diagnose")?);
+        Self::new(Some(task), both, task.section("tolerances")?, settings, found)
     }
 
-    /// The problem that `events` of the array of `sections` pose; `settings` name its whole history.
+    /// The problem that `events` of the array of `sections` pose, replayed as a diagnosis wants it; `settings` name its whole history.
     ///
     /// # Errors
     /// When the declared column cannot be built.
     pub fn new(
         task: Option<&'a Task<'a>>,
-        sections: ColumnSections,
+        (sections, diagnose): (ColumnSections, &DiagnoseSettings),
         tolerances: Tolerances,
         settings: RecordSettings,
         events: Vec<(Split, Vec<Record>)>,
     ) -> Result<Self> {
+        let rough = roughened(sections.clone(), diagnose);
+        let sections = refined(sections, diagnose);
         let noise: Vec<_> = events.iter().map(|(_, r)| r.iter().map(diagnosis::noise).collect()).collect();
         let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
         let problem = problem(&sections, tolerances, &settings, &events, &noise)?;
@@ -82,7 +88,7 @@ impl<'a> Bench<'a> {
         };
         let events =
             events.into_iter().zip(&noise).map(|((_, r), n)| r.into_iter().zip(n).map(quiet).collect()).collect();
-        Ok(Self { task, sections, settings, events, problem })
+        Ok(Self { task, sections, rough, settings, events, problem })
     }
 
     /// What the array would record of the replays under `effects` on top of the manifest's, event by event and component by
@@ -116,10 +122,19 @@ fn strongest(records: Vec<Record>) -> Vec<Record> {
 }
 
 /// `sections` with the steps of the diagnosis' replays.
-pub fn refined(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+fn refined(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
     let analysis = &mut sections.analysis;
     analysis.max_step_s = analysis.max_step_s.min(settings.max_step_s);
     analysis.initial_step_s = analysis.initial_step_s.min(analysis.max_step_s);
+    sections
+}
+
+/// `sections` with no more elements than waves of the diagnosis' band need, and the steps of the manifest.
+fn roughened(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+    let site = &mut sections.site;
+    let slowest_m_s = site.layer.iter().map(|l| l.vs_m_s).fold(f64::INFINITY, f64::min);
+    let needed = (site.depth_m * PER_WAVE * settings.band_hz[1] / slowest_m_s).ceil() as usize;
+    site.elements = site.elements.min(needed.max(2 * site.layer.len()));
     sections
 }
 
@@ -156,7 +171,11 @@ fn problem(
 
 impl Replay for Bench<'_> {
     fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-        self.replay_of(&self.events, effects)
+        self.replay_of(&self.sections, &self.events, effects)
+    }
+
+    fn replay_roughly(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.replay_of(&self.rough, &self.events, effects)
     }
 
     fn replay_noisier(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
@@ -171,22 +190,27 @@ impl Replay for Bench<'_> {
             records.iter().zip(&mut *recorded).map(of).collect()
         });
         let noisier: Vec<Vec<Record>> = noisier.collect();
-        self.replay_of(&noisier, effects)
+        self.replay_of(&self.rough, &noisier, effects)
     }
 }
 
 impl Bench<'_> {
-    fn replay_of(&self, events: &[Vec<Record>], effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-        let tables: Vec<Table> = self.sections.effects.iter().chain(effects).cloned().collect();
-        let instrument = Instrument::new(&self.sections.sensors, self.sections.site.depth_m, &tables)?;
+    fn replay_of(
+        &self,
+        sections: &ColumnSections,
+        events: &[Vec<Record>],
+        effects: &[Table],
+    ) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        let tables: Vec<Table> = sections.effects.iter().chain(effects).cloned().collect();
+        let instrument = Instrument::new(&sections.sensors, sections.site.depth_m, &tables)?;
         let undone: Vec<Vec<Record>> = events.iter().map(|records| instrument.undone(records)).collect();
         let motions = base_motions(&undone, &self.settings);
-        let shaken = shake(self.task, &self.sections, instrument.effects(), &motions)?;
+        let shaken = shake(self.task, sections, instrument.effects(), &motions)?;
         if shaken.iter().all(Result::is_err) {
             let reason = shaken.into_iter().find_map(Result::err).unwrap_or_default();
             return Err(Error::new("the column finished in no event").cause(reason));
         }
-        let step_s = self.sections.analysis.output_step_s;
+        let step_s = sections.analysis.output_step_s;
         let at_records = |(record, response): (&Record, Response)| {
             let fitted = |history: &Vec<f64>| {
                 let mut history = resample_band_limited(history, step_s, record.dt_s);
@@ -196,5 +220,30 @@ impl Bench<'_> {
             Some(response.ok()?.iter().map(fitted).collect())
         };
         Ok(undone.iter().flatten().zip(shaken).map(at_records).collect())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::manifest::Manifest;
+    use std::path::Path;
+
+    #[test]
+    fn rough_replays_have_elements_for_the_waves_that_are_compared() {
+        let of = |name: &str| {
+            let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(name);
+            let site = Manifest::load(&path, &[]).expect("a sound site").site;
+            let sections = site.column();
+            let settings = DiagnoseSettings::default();
+            let fine = refined(sections.clone(), &settings).analysis.max_step_s;
+            let rough = roughened(sections.clone(), &settings);
+            assert_eq!(rough.analysis, sections.analysis);
+            assert!(fine <= rough.analysis.max_step_s);
+            [sections.site.elements, rough.site.elements]
+        };
+        // 17 m and 20 elements to 110 m/s over 9.5 Hz are 30, but two to each of 17 layers.
+        assert_eq!(of("lotung.toml"), [200, 34]);
+        assert_eq!(of("smoke.toml"), [20, 15]);
     }
 }

@@ -4,7 +4,7 @@ use super::artifact::{read_toml, write_json, write_toml};
 use super::correct::correction;
 use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
-use super::problem::{Bench, READS, refined};
+use super::problem::{Bench, READS};
 use super::{null_twins, records};
 use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, diagnose, thresholds};
 use crate::error::{Error, Result};
@@ -25,7 +25,7 @@ pub struct TwinThresholds;
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 5);
+const TWIN: (&str, u32) = ("twin", 6);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -53,7 +53,7 @@ impl Stage for TwinThresholds {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -82,7 +82,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -170,13 +170,7 @@ impl Stand {
     }
 
     fn bench(&self, events: Vec<(Split, Vec<Record>)>) -> Result<Bench<'static>> {
-        Bench::new(
-            None,
-            refined(self.sections.clone(), &self.settings),
-            self.tolerances.clone(),
-            self.records.clone(),
-            events,
-        )
+        Bench::new(None, (self.sections.clone(), &self.settings), self.tolerances.clone(), self.records.clone(), events)
     }
 
     fn outcome(&self, case: &Case, thresholds: &Thresholds) -> Result<Outcome> {
