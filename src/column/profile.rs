@@ -52,6 +52,21 @@ impl Layer {
     }
 }
 
+#[cfg(test)]
+impl Profile {
+    /// Undamped layers below a table at the surface, an element each, with nothing beside them.
+    pub(crate) fn plain(layers: Vec<Layer>) -> Self {
+        Self {
+            elements: layers.len().max(1),
+            layers,
+            water_table_m: 0.0,
+            vertical: Vertical::default(),
+            rayleigh: Rayleigh::default(),
+            features: Features::default(),
+        }
+    }
+}
+
 /// Vertical motion above the base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]

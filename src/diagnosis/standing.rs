@@ -171,20 +171,23 @@ pub struct Beside<'a> {
     tables: Vec<Table>,
 }
 
+impl Beside<'_> {
+    fn and(&self, effects: &[Table]) -> Vec<Table> {
+        self.tables.iter().chain(effects).cloned().collect()
+    }
+}
+
 impl Replay for Beside<'_> {
     fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-        let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
-        self.replay.replay(&all)
+        self.replay.replay(&self.and(effects))
     }
 
     fn replay_roughly(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-        let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
-        self.replay.replay_roughly(&all)
+        self.replay.replay_roughly(&self.and(effects))
     }
 
     fn replay_noisier(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-        let all: Vec<Table> = self.tables.iter().chain(effects).cloned().collect();
-        self.replay.replay_noisier(&all)
+        self.replay.replay_noisier(&self.and(effects))
     }
 }
 
@@ -358,14 +361,7 @@ mod tests {
     #[test]
     fn what_stands_gives_way_to_its_like_and_to_nothing() {
         let array = Array {
-            profile: crate::column::Profile {
-                layers: Vec::new(),
-                water_table_m: 0.0,
-                vertical: Default::default(),
-                rayleigh: Default::default(),
-                elements: 1,
-                features: Default::default(),
-            },
+            profile: crate::column::Profile::plain(Vec::new()),
             input: "base".into(),
             outputs: vec!["middle".into(), "top".into()],
             depths_m: vec![5.0, 0.0],

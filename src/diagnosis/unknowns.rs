@@ -13,6 +13,8 @@ pub(super) const TOLERATED: f64 = 3.0;
 /// Farthest a nuisance may be from its declared value, prior standard deviations. One in two thousand is farther; free to go
 /// there, many thin layers together would imitate what is not declared.
 pub(super) const MAX_DEVIATIONS: f64 = 3.5;
+/// Step of finite differences, prior standard deviations of a nuisance.
+const STEP: f64 = 0.001;
 /// Most depth ranges with a velocity of their own.
 const MAX_RANGES: usize = 20;
 
@@ -222,12 +224,12 @@ impl Unknowns<'_> {
     /// Steps of finite differences: small, and the same for a nuisance and the effect that is the same thing, or the curvature of
     /// two ways to the same motion would tell them apart.
     pub fn steps(&self) -> Vec<f64> {
-        let alike = |e: &Instance| self.nuisances.iter().find(|n| n.instance.is_same(e)).map(|n| 0.001 * n.deviation);
         let own = |e: &Instance| -> Vec<f64> {
-            let alike = alike(e);
-            e.free.iter().map(|f| alike.unwrap_or(0.0005 * f.parameter.prior_sd)).collect()
+            let same = self.nuisances.iter().find(|n| n.instance.is_same(e));
+            let step = |f: &Free| same.map_or(0.5 * STEP * f.parameter.prior_sd, |n| STEP * n.deviation);
+            e.free.iter().map(step).collect()
         };
-        self.nuisances.iter().map(|_| 0.001).chain(self.effects.iter().flat_map(own)).collect()
+        self.nuisances.iter().map(|_| STEP).chain(self.effects.iter().flat_map(own)).collect()
     }
 }
 

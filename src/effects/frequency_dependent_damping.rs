@@ -107,14 +107,7 @@ mod tests {
     fn slope_is_the_damping_ratio_added_at_five_hertz() {
         let edited = |table: &str| {
             let effect = (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
-            let mut profile = Profile {
-                layers: Vec::new(),
-                water_table_m: 0.0,
-                vertical: Default::default(),
-                rayleigh: Default::default(),
-                elements: 1,
-                features: Default::default(),
-            };
+            let mut profile = Profile::plain(Vec::new());
             effect.edit(&mut profile, &Situation::default());
             profile.rayleigh
         };

@@ -16,10 +16,10 @@ use toml::Table;
 
 /// Longest stretch of an event that is replayed, s: what is compared, and a lead for the column to forget that it began at rest.
 const LONGEST_S: f64 = 45.0;
-/// Elements to the shortest wave where replays are compared with each other only.
-const PER_WAVE: f64 = 20.0;
 /// That lead, s.
 const LEAD_S: f64 = 3.0;
+/// Elements to the shortest wave where replays are compared with each other only.
+const PER_WAVE: f64 = 20.0;
 
 /// Sections that [`Bench::of`] needs of the stage that asks.
 pub const READS: &[&str] = &[
@@ -61,17 +61,19 @@ impl<'a> Bench<'a> {
         let settings: RecordSettings = task.section("records")?;
         let opened = records::settings_without_test(task)?;
         let found = by_event(records::read(task.input("records")?, &opened, &sections.sensors)?.records);
-        let both = (sections, &task.section("diagnose")?);
-        Self::new(Some(task), both, task.section("tolerances")?, settings, found)
+        let diagnose = task.section("diagnose")?;
+        Self::new(Some(task), sections, &diagnose, task.section("tolerances")?, settings, found)
     }
 
-    /// The problem that `events` of the array of `sections` pose, replayed as a diagnosis wants it; `settings` name its whole history.
+    /// The problem that `events` of the array of `sections` pose, replayed as `diagnose` says; `settings` name its whole
+    /// history.
     ///
     /// # Errors
     /// When the declared column cannot be built.
     pub fn new(
         task: Option<&'a Task<'a>>,
-        (sections, diagnose): (ColumnSections, &DiagnoseSettings),
+        sections: ColumnSections,
+        diagnose: &DiagnoseSettings,
         tolerances: Tolerances,
         settings: RecordSettings,
         events: Vec<(Split, Vec<Record>)>,

@@ -170,7 +170,7 @@ impl Stand {
     }
 
     fn bench(&self, events: Vec<(Split, Vec<Record>)>) -> Result<Bench<'static>> {
-        Bench::new(None, (self.sections.clone(), &self.settings), self.tolerances.clone(), self.records.clone(), events)
+        Bench::new(None, self.sections.clone(), &self.settings, self.tolerances.clone(), self.records.clone(), events)
     }
 
     fn outcome(&self, case: &Case, thresholds: &Thresholds) -> Result<Outcome> {
