@@ -54,7 +54,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | ξ_min  | `damping_ratio` (else (6)) | – | 0…0.5    |
 /// | N      | `cycles`               | –    | 1…1e4     |
 /// | ν, n, K_w | as in `elastic`     |      |           |
-/// | state  | τ, σ, γ, γ_m, constants, reversals | [8 + 2·24] | Pa, – |
+/// | state  | τ, σ, γ, γ_m, constants, G_m, F, reversals | [10 + 2·24] | Pa, – |
 ///
 /// Limits: no strength and no pore pressure; volumetric response linear; at most 24 open reversals, beyond which the
 /// innermost loop is forgotten. ξ_min becomes Rayleigh damping fitted at two frequencies of the profile, without the
@@ -120,7 +120,10 @@ const G: usize = 4;
 const M: usize = 5;
 const GAMMA_REF: usize = 6;
 const COUNT: usize = 7;
-const STACK: usize = 8;
+/// G_m and F: they change with the largest strain only, and their powers cost more than all else.
+const SECANT: usize = 8;
+const FACTOR: usize = 9;
+const STACK: usize = 10;
 const ATMOSPHERE_PA: f64 = 101_325.0;
 
 impl Hyperbolic {
@@ -141,13 +144,18 @@ impl Hyperbolic {
         (g * gamma * d, g * d * (1.0 - self.curvature * y * d))
     }
 
+    /// (G_m, F) of (3) and (4) where the largest strain so far is `gamma_max`.
+    fn reduction(&self, g: f64, gamma_ref: f64, gamma_max: f64) -> (f64, f64) {
+        let ratio = 1.0 / (1.0 + (gamma_max / gamma_ref).powf(self.curvature));
+        let f = if self.reduce_damping { (0.6329 - 0.0057 * self.cycles.ln()) * ratio.powf(0.1) } else { 1.0 };
+        (g * ratio, f)
+    }
+
     /// (τ, dτ/dγ) at `gamma` on the branch from the reversal (γ_a, τ_a), equation (2).
     fn branch(&self, s: &[f64], gamma_a: f64, tau_a: f64, gamma: f64) -> (f64, f64) {
         let x = gamma - gamma_a;
         let (tau, slope) = self.backbone(s[G], s[GAMMA_REF], 0.5 * x);
-        let ratio = 1.0 / (1.0 + (s[GAMMA_MAX] / s[GAMMA_REF]).powf(self.curvature));
-        let secant = s[G] * ratio; // (3)
-        let f = if self.reduce_damping { (0.6329 - 0.0057 * self.cycles.ln()) * ratio.powf(0.1) } else { 1.0 }; // (4)
+        let (secant, f) = (s[SECANT], s[FACTOR]);
         (tau_a + f * (2.0 * tau - secant * x) + secant * x, f * (slope - secant) + secant) // (2)
     }
 }
@@ -182,6 +190,7 @@ impl Law for Hyperbolic {
             }
             if count == 0 {
                 s[GAMMA_MAX] = s[GAMMA].abs();
+                (s[SECANT], s[FACTOR]) = self.reduction(s[G], s[GAMMA_REF], s[GAMMA_MAX]);
             }
             s[STACK + 2 * count] = s[GAMMA];
             s[STACK + 2 * count + 1] = s[TAU];
