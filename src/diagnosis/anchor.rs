@@ -5,6 +5,7 @@ use super::operators::Operators;
 use super::responses::{InputSensor, RecordResponse, Responses, Scene};
 use super::secants::Secants;
 use super::spectra::SMOOTH_HZ;
+use super::unknowns::Placed;
 use crate::effects::Effect;
 use realfft::num_complex::Complex;
 
@@ -58,7 +59,7 @@ pub struct RecordAnchor {
     input: Vec<C64>,
     seen_by: InputSensor,
     /// The soil of the anchor, as neighbours follow it.
-    deviations: Vec<f64>,
+    soil: Placed,
 }
 
 impl RecordAnchor {
@@ -95,10 +96,11 @@ impl Anchor {
     pub fn of(
         scene: &Scene<'_>,
         replays: &[Option<Vec<Vec<f64>>>],
-        (effects, x): (&[Box<dyn Effect>], &[f64]),
+        (effects, placed): (&[Box<dyn Effect>], &Placed),
         responses: &Responses,
         before: Option<&Self>,
     ) -> Self {
+        let x = &placed.x;
         let mut anchor = Self { at: place(scene, effects, x), n_effect: effects.len(), ..Self::fast(scene) };
         let mut errors: Vec<Vec<Vec<C64>>> =
             scene.groups.iter().map(|g| g.records.iter().map(|_| Vec::new()).collect()).collect();
@@ -111,9 +113,9 @@ impl Anchor {
                 };
                 let nonlinear: Vec<Vec<C64>> = replayed.iter().map(|x| scene.bins(g, r, x)).collect();
                 let mut own = compare(&group.frequencies_hz, &nonlinear, response);
-                own.deviations = responses.deviations([g, r], x);
+                own.soil = responses.deviations([g, r], placed);
                 if let Some((before, earlier)) = before.and_then(|b| Some((b, b.records[g][r].as_ref()?))) {
-                    let followed = before.followed(scene, responses, [g, r], x);
+                    let followed = before.followed(scene, responses, [g, r], placed);
                     let turned = earlier.turned(&response.input, &response.seen_by, half);
                     let count = nonlinear.len();
                     let error = |i: usize| {
@@ -153,14 +155,14 @@ impl Anchor {
 
     /// What neighbours tell of the way of record `r` of group `g` from the anchor to the unknowns `x`, `[bin][sensor]`; empty
     /// where they tell nothing.
-    pub fn followed(&self, scene: &Scene<'_>, responses: &Responses, [g, r]: [usize; 2], x: &[f64]) -> Vec<C64> {
+    pub fn followed(&self, scene: &Scene<'_>, responses: &Responses, [g, r]: [usize; 2], x: &Placed) -> Vec<C64> {
         let (Some(neighbours), Some(own)) = (&scene.neighbours, &self.records[g][r]) else { return Vec::new() };
-        neighbours.moved([g, r], &own.deviations, &responses.deviations([g, r], x))
+        neighbours.moved([g, r], &own.soil, &responses.deviations([g, r], x))
     }
 
     /// What each step known counts on the way from the anchor to the unknowns `x`.
-    pub fn amounts(&self, scene: &Scene<'_>, effects: &[Box<dyn Effect>], x: &[f64]) -> Vec<f64> {
-        self.secants.weights(&self.at, &place(scene, effects, x))
+    pub fn amounts(&self, scene: &Scene<'_>, effects: &[Box<dyn Effect>], x: &Placed) -> Vec<f64> {
+        self.secants.weights(&self.at, &place(scene, effects, &x.x))
     }
 }
 
@@ -177,7 +179,7 @@ fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], response: &RecordRespo
         rest: vec![C64::default(); n * count],
         input: response.input.clone(),
         seen_by: response.seen_by,
-        deviations: Vec::new(),
+        soil: Placed::default(),
     };
     for (s, nonlinear) in replayed.iter().enumerate() {
         let fast: Vec<C64> = (0..n).map(|k| motion[k * count + s]).collect();
@@ -208,7 +210,7 @@ mod tests {
             rest: vec![C64::new(1.0, 0.0)],
             input: vec![C64::new(0.0, 1.0), C64::new(2.0, 0.0)],
             seen_by,
-            deviations: Vec::new(),
+            soil: Placed::default(),
         };
         assert!(record.turned(&record.input, &seen_by, 1).is_empty());
         let late = InputSensor { source: 1, ..seen_by };

@@ -4,6 +4,7 @@ use super::anchor::{Anchor, smoothing};
 use super::generic::Pair;
 use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
+use super::unknowns::Placed;
 use crate::effects::Effect;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
@@ -28,16 +29,39 @@ pub fn whitened(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    (anchor, x): (&Anchor, &[f64]),
+    (anchor, x): (&Anchor, &Placed),
     groups: &[usize],
 ) -> Vec<f64> {
     let amounts = &anchor.amounts(scene, effects, x);
     let whiten = |g: &usize| {
-        let mut out = Vec::with_capacity(scene.groups[*g].n_residual());
-        each_bin(scene, effects, responses, (anchor, x, amounts), *g, |bin| bin.whiten(&mut out));
-        out
+        let mut out = vec![Vec::with_capacity(scene.groups[*g].n_residual())];
+        each_bin(scene, effects, responses, (anchor, x, amounts), (*g, &[]), |bin| bin.whiten(&mut out));
+        out.concat()
     };
     groups.par_iter().map(whiten).collect::<Vec<Vec<f64>>>().concat()
+}
+
+/// By how much [`whitened`] changes on each way from `x` to one of `moved`, which differs by what neighbours follow only: motions
+/// change, and nothing that whitens.
+///
+/// Check: `derivatives_of_what_neighbours_follow_are_those_of_residuals`.
+pub fn changes(
+    scene: &Scene<'_>,
+    effects: &[Box<dyn Effect>],
+    responses: &Responses,
+    (anchor, x): (&Anchor, &Placed),
+    (moved, groups): (&[Placed], &[usize]),
+) -> Vec<Vec<f64>> {
+    let amounts = &anchor.amounts(scene, effects, x);
+    let ways: Vec<(&Placed, Vec<f64>)> = moved.iter().map(|m| (m, anchor.amounts(scene, effects, m))).collect();
+    let whiten = |g: &usize| {
+        let mut out = vec![Vec::with_capacity(scene.groups[*g].n_residual()); 1 + moved.len()];
+        each_bin(scene, effects, responses, (anchor, x, amounts), (*g, &ways), |bin| bin.whiten(&mut out));
+        out
+    };
+    let by_group: Vec<Vec<Vec<f64>>> = groups.par_iter().map(whiten).collect();
+    let of = |way: usize| by_group.iter().flat_map(move |g| g[1 + way].iter().map(|v| -v)).collect();
+    (0..moved.len()).map(of).collect()
 }
 
 /// What is predicted and what was recorded in group `g`, `[record][sensor]`; interference is out of both.
@@ -45,7 +69,7 @@ pub fn pairs(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    (anchor, x): (&Anchor, &[f64]),
+    (anchor, x): (&Anchor, &Placed),
     g: usize,
 ) -> Vec<Vec<Pair>> {
     let group = &scene.groups[g];
@@ -53,7 +77,7 @@ pub fn pairs(
     let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
     let mut rows = vec![empty; group.records.len() * n_sensor];
     let amounts = &anchor.amounts(scene, effects, x);
-    each_bin(scene, effects, responses, (anchor, x, amounts), g, |bin| {
+    each_bin(scene, effects, responses, (anchor, x, amounts), (g, &[]), |bin| {
         for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
             row.predicted.push(*predicted);
             row.measured.push(*measured);
@@ -62,20 +86,20 @@ pub fn pairs(
     rows.chunks_exact(n_sensor.max(1)).map(<[Pair]>::to_vec).collect()
 }
 
-/// Sets up every frequency of group `g` in turn.
+/// Sets up every frequency of group `g` in turn, with what is predicted more on each of the `ways` to other places of the soil.
 fn each_bin(
     scene: &Scene<'_>,
     effects: &[Box<dyn Effect>],
     responses: &Responses,
-    (anchor, x, amounts): (&Anchor, &[f64], &[f64]),
-    g: usize,
+    (anchor, x, amounts): (&Anchor, &Placed, &[f64]),
+    (g, ways): (usize, &[(&Placed, Vec<f64>)]),
     mut visit: impl FnMut(&mut Bin),
 ) {
     let group = &scene.groups[g];
     let n_sensor = scene.problem.array.outputs.len();
     let n_record = group.records.len();
     let removed = scene.estimated_interference(effects, g);
-    let mut bin = Bin::new(n_record, n_record * n_sensor);
+    let mut bin = Bin::new(n_record, n_record * n_sensor, ways.len());
     let all = Operators::new(scene, effects);
     let seen_by = scene.input_sensor(effects, &all, g);
     let input = |r: usize| {
@@ -87,6 +111,16 @@ fn each_bin(
     let turned = |r: usize| anchor.records[g][r].as_ref().map_or(Vec::new(), |a| a.turned(&inputs[r], &seen_by, half));
     let turned: Vec<Vec<C64>> = (0..n_record).map(turned).collect();
     let followed: Vec<Vec<C64>> = (0..n_record).map(|r| anchor.followed(scene, responses, [g, r], x)).collect();
+    let on_the_way = |(to, there): &(&Placed, Vec<f64>), r: usize| -> Vec<C64> {
+        let mut way = anchor.followed(scene, responses, [g, r], to);
+        way.iter_mut().zip(&followed[r]).for_each(|(to, from)| *to -= from);
+        let Some(own) = &anchor.records[g][r] else { return way };
+        way.resize(own.rest.len(), C64::default());
+        let error = |at: usize| anchor.secants.error(there, [g, r], at) - anchor.secants.error(amounts, [g, r], at);
+        way.iter_mut().enumerate().for_each(|(at, way)| *way += error(at));
+        way
+    };
+    let ways: Vec<Vec<Vec<C64>>> = ways.iter().map(|way| (0..n_record).map(|r| on_the_way(way, r)).collect()).collect();
     let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
     for (k, f) in group.frequencies_hz.iter().enumerate() {
@@ -98,6 +132,7 @@ fn each_bin(
                 let row = r * n_sensor + s;
                 bin.model[row].fill(C64::default());
                 bin.predicted[row] = C64::default();
+                bin.ways.iter_mut().for_each(|way| way[row] = C64::default());
                 for q in 0..n_record {
                     let weight = entry(operator, components[r], components[q]);
                     if weight == C64::default() {
@@ -115,7 +150,11 @@ fn each_bin(
                         predicted *= own.factor[at];
                         rest += own.rest[at] + anchor.secants.error(amounts, [g, q], at);
                     }
-                    predicted += turned[q].get(k).map_or(rest, |f| f * rest);
+                    let turned = turned[q].get(k).copied().unwrap_or(C64::new(1.0, 0.0));
+                    predicted += turned * rest;
+                    for (to, way) in bin.ways.iter_mut().zip(&ways) {
+                        to[row] += weight * turned * way[q].get(at).copied().unwrap_or_default();
+                    }
                     predicted += arrival * inputs[q][k];
                     motion += arrival;
                     bin.predicted[row] += weight * predicted;
@@ -147,29 +186,34 @@ struct Bin {
     predicted: Vec<C64>,
     measured: Vec<C64>,
     residual: Vec<C64>,
+    /// What is predicted more on each way.
+    ways: Vec<Vec<C64>>,
     noise: Vec<f64>,
     input_noise: Vec<f64>,
 }
 
 impl Bin {
-    fn new(n_input: usize, n_row: usize) -> Self {
+    fn new(n_input: usize, n_row: usize, n_way: usize) -> Self {
         Self {
             model: vec![vec![C64::default(); n_input]; n_row],
             predicted: vec![C64::default(); n_row],
             measured: vec![C64::default(); n_row],
             residual: vec![C64::default(); n_row],
+            ways: vec![vec![C64::default(); n_row]; n_way],
             noise: vec![1.0; n_row],
             input_noise: vec![0.0; n_input],
         }
     }
 
-    /// Appends ρ of (1), real and imaginary parts; (2) for the first two inputs.
-    fn whiten(&mut self, out: &mut Vec<f64>) {
+    /// Appends ρ of (1), real and imaginary parts, to the first of `out`, and the same of each way to the others; (2) for the first
+    /// two inputs.
+    fn whiten(&mut self, out: &mut [Vec<f64>]) {
         let n_input = self.input_noise.len();
         let roots: Vec<f64> = self.input_noise.iter().map(|s| s.sqrt()).collect();
-        for ((model, residual), noise) in self.model.iter_mut().zip(&mut self.residual).zip(&self.noise) {
+        for (row, (model, noise)) in self.model.iter_mut().zip(&self.noise).enumerate() {
             let scale = 1.0 / noise.sqrt();
-            *residual *= scale;
+            self.residual[row] *= scale;
+            self.ways.iter_mut().for_each(|way| way[row] *= scale);
             for (a, root) in model.iter_mut().zip(&roots) {
                 *a *= scale * root;
             }
@@ -182,7 +226,6 @@ impl Bin {
         let g00 = dot(0, &|i| self.model[i][0]).re;
         let g11 = if two { dot(1, &|i| self.model[i][1]).re } else { 0.0 };
         let g01 = if two { dot(0, &|i| self.model[i][1]) } else { zero };
-        let b = [dot(0, &|i| self.residual[i]), if two { dot(1, &|i| self.residual[i]) } else { zero }];
         // W = f(G) = α I + β G for a Hermitian two-by-two G with eigenvalues g1, g2.
         let half = 0.5 * (g00 + g11);
         let spread = (0.25 * (g00 - g11) * (g00 - g11) + g01.norm_sqr()).sqrt();
@@ -195,15 +238,20 @@ impl Bin {
             (kernel(g1 + step) - f1) / step
         };
         let alpha = f1 - beta * g1;
-        let w =
-            [b[0] * (alpha + beta * g00) + g01 * b[1] * beta, b[1] * (alpha + beta * g11) + g01.conj() * b[0] * beta];
-        for (row, r) in self.model.iter().zip(&self.residual) {
-            let mut value = r - row[0] * w[0];
-            if two {
-                value -= row[1] * w[1];
+        for (values, out) in std::iter::once(&self.residual).chain(&self.ways).zip(out) {
+            let b = [dot(0, &|i| values[i]), if two { dot(1, &|i| values[i]) } else { zero }];
+            let w = [
+                b[0] * (alpha + beta * g00) + g01 * b[1] * beta,
+                b[1] * (alpha + beta * g11) + g01.conj() * b[0] * beta,
+            ];
+            for (row, r) in self.model.iter().zip(values) {
+                let mut value = r - row[0] * w[0];
+                if two {
+                    value -= row[1] * w[1];
+                }
+                out.push(value.re * std::f64::consts::SQRT_2);
+                out.push(value.im * std::f64::consts::SQRT_2);
             }
-            out.push(value.re * std::f64::consts::SQRT_2);
-            out.push(value.im * std::f64::consts::SQRT_2);
         }
     }
 }
@@ -221,10 +269,11 @@ mod tests {
     #[test]
     fn whitening_is_the_inverse_square_root_of_the_covariance() {
         let c = C64::new;
-        let mut bin = Bin::new(2, 3);
+        let mut bin = Bin::new(2, 3, 1);
         bin.model =
             vec![vec![c(2.0, 1.0), c(0.1, -0.3)], vec![c(-0.5, 0.4), c(1.5, 0.2)], vec![c(3.0, -2.0), c(0.3, 0.0)]];
         bin.residual = vec![c(0.4, -0.1), c(1.0, 0.7), c(-0.2, 0.5)];
+        bin.ways[0] = bin.residual.iter().map(|r| r * 2.0).collect();
         bin.noise = vec![0.5, 1.0, 0.2];
         bin.input_noise = vec![0.3, 0.8];
         let mut sigma = [[c(0.0, 0.0); 3]; 3];
@@ -254,21 +303,24 @@ mod tests {
             x[i] = (x[i] - known) / sigma[i][i];
         }
         let expected: f64 = 2.0 * bin.residual.iter().zip(&x).map(|(r, x)| (r.conj() * x).re).sum::<f64>();
-        let mut rho = Vec::new();
-        bin.whiten(&mut rho);
+        let mut out = [Vec::new(), Vec::new()];
+        bin.whiten(&mut out);
+        let [rho, way] = out;
+        assert!(rho.iter().zip(&way).all(|(r, w)| (2.0 * r - w).abs() < 1e-12));
         let cost: f64 = rho.iter().map(|v| v * v).sum();
         assert!((cost / expected - 1.0).abs() < 1e-12, "{cost} {expected}");
     }
 
     #[test]
     fn one_component_alone_is_whitened_too() {
-        let mut bin = Bin::new(1, 1);
+        let mut bin = Bin::new(1, 1, 0);
         bin.model[0][0] = C64::new(3.0, 0.0);
         bin.residual[0] = C64::new(1.0, 1.0);
         bin.noise[0] = 1.0;
         bin.input_noise[0] = 1.0;
-        let mut rho = Vec::new();
-        bin.whiten(&mut rho);
+        let mut out = [Vec::new()];
+        bin.whiten(&mut out);
+        let [rho] = out;
         assert!((rho[0] * rho[0] - 2.0 / 10.0).abs() < 1e-12 && rho[0] == rho[1]);
     }
 }

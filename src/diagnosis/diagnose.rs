@@ -7,33 +7,31 @@ use super::outcome::{Candidate, Diagnosis, Thresholds, Verdict};
 use super::problem::{Problem, Replay};
 use super::responses::Scene;
 use super::round::{Fitted, Ground, Plain, parameters};
-use super::search::{Model, Search};
+use super::search::{CLEAN, Model, Search};
 use super::settings::DiagnoseSettings;
+use super::settling::MAX_ANCHORS;
 use super::standing::{Standing, beside, decided, labels, others, standing};
 use super::together::together;
 use super::unknowns::{MAX_DEVIATIONS, nuisances};
 use super::verdict;
-use crate::effects::{self, Instance};
+use crate::effects;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use std::cmp::Ordering;
 
 /// Most steps of the recalibration, and after a new anchor.
 const STEPS: [usize; 2] = [12, 6];
-/// Most replays of a recalibration.
-const MAX_ANCHORS: usize = 10;
 /// Looks around, at least and at most: the first near the declared soil, the others at the recalibrated one.
 const LOOKS: [usize; 2] = [2, 3];
 /// Standard deviations by which costs exceed those of noise where the last of them is taken.
 const SURPRISE: f64 = 1.0;
 /// Share of the excess over noise that a look must leave at most for another to be worth it: more is wrong than tolerances.
 const WORTHWHILE: f64 = 0.7;
-/// Replays in a row that end a recalibration by being no better than the best one.
-const MAX_FAILURES: usize = 3;
-/// Hold on a fit after the first replay that did not keep what the fit promised, and its growth with each more.
-const HOLD: [f64; 2] = [10.0, 10.0];
-/// Standard deviations beyond noise up to which nothing is left.
-const CLEAN: f64 = 3.0;
+/// Share of the gain of an effect below which nothing else is an effect of its own: described to a tenth of what it does to the
+/// motions, an effect leaves a hundredth of what it gained.
+const DETAIL: f64 = 0.01;
+/// Most replays of a model without one of its effects.
+const REPLAYS: usize = 6;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -109,9 +107,11 @@ fn diagnose_rest(
     let plain = centre(&scene, replay, settings, progress)?;
     let mut path = None;
     let mut before = f64::INFINITY;
+    let mut around_plain = None;
     for look in 1..=LOOKS[1] {
         let centre = path.as_ref().map_or(&plain, |p: &Path| &p.recalibrated.train.x).clone();
         scene.look_around(replay, settings, (&[], &centre), progress)?;
+        around_plain.get_or_insert_with(|| scene.clone());
         let found = Search::new(&scene, settings, Some(replay))?.recalibrated(&plain, &centre, progress)?;
         let [train, validation] = found.recalibrated.surprise();
         progress.note(&format!("recalibrated: {train:.1} and {validation:.1} standard deviations more than noise"));
@@ -127,7 +127,13 @@ fn diagnose_rest(
     // Where the recalibrated model leaves no more than noise, there is nothing to explain.
     let rounds = if path.recalibrated.excess() > 0.0 { settings.max_effects } else { 0 };
     for number in 1..=rounds {
-        let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, number, thresholds, progress)?;
+        let around_plain = around_plain.take();
+        let is_found = Search::new(&scene, settings, Some(replay))?.step(
+            &mut path,
+            (number, around_plain),
+            thresholds,
+            progress,
+        )?;
         progress.advance(1);
         if !is_found {
             break;
@@ -136,7 +142,14 @@ fn diagnose_rest(
         let anchor = scene.look_around(replay, settings, (&corrected.effects, corrected.x()), progress)?;
         let kept = path.accepted.len();
         Search::new(&scene, settings, Some(replay))?.polish(&mut path, anchor, thresholds, progress)?;
-        if path.corrected.excess() <= 0.0 || path.accepted.len() < kept {
+        if path.accepted.len() == kept {
+            let here = (path.corrected.clone(), path.anchor.clone());
+            (path.corrected, path.anchor) = scene.moved((here, path.rival.take()), replay, settings, progress)?;
+            let last = path.corrected.effects.last().zip(path.accepted.last_mut());
+            last.into_iter().for_each(|(place, accepted)| accepted.instance = place.clone());
+        }
+        let is_left = path.corrected.surprise().into_iter().any(|s| s > thresholds.excess);
+        if !is_left || path.accepted.len() < kept {
             break;
         }
     }
@@ -164,6 +177,8 @@ pub(super) struct Path {
     plain: Vec<f64>,
     /// Anchor of the best effect of the last round.
     confirmed: Option<Anchor>,
+    /// The same effect at another place, where that was confirmed too.
+    rival: Option<Model>,
 }
 
 impl Search<'_> {
@@ -171,12 +186,21 @@ impl Search<'_> {
     ///
     /// # Errors
     /// When a replay is impossible.
-    fn step(&self, path: &mut Path, number: usize, thresholds: &Thresholds, progress: &dyn Progress) -> Result<bool> {
-        let fitted = self.fair_round(path, number, progress)?;
-        let is_alarm =
-            |f: &&Fitted| f.is_confirmed && f.gain > thresholds.gain && f.validation_gain > thresholds.validation_gain;
+    fn step(
+        &self,
+        path: &mut Path,
+        (number, around_plain): (usize, Option<Scene<'_>>),
+        thresholds: &Thresholds,
+        progress: &dyn Progress,
+    ) -> Result<bool> {
+        let fitted = self.fair_round(path, (number, around_plain), progress)?;
+        let detail = DETAIL * path.accepted.iter().map(|f| f.gain).fold(0.0, f64::max);
+        let least = thresholds.gain.max(detail);
+        let is_alarm = |f: &&Fitted| f.is_confirmed && f.gain > least && f.validation_gain > thresholds.validation_gain;
         let Some(best) = fitted.first().filter(is_alarm) else { return Ok(false) };
         path.corrected = best.model.clone();
+        let alike = fitted[1..].iter().find(|f| f.is_confirmed && f.instance.kind == best.instance.kind);
+        path.rival = alike.map(|f| f.model.clone());
         path.accepted.push(best.clone());
         if let Some(confirmed) = path.confirmed.take() {
             path.anchor = confirmed;
@@ -191,32 +215,27 @@ impl Search<'_> {
     /// When a replay is impossible.
     fn polish(&self, path: &mut Path, anchor: Anchor, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
         let (effects, x) = (path.corrected.effects.clone(), path.corrected.x().to_vec());
-        (path.corrected, path.anchor) = self.settled(&effects, &x, anchor, progress)?;
+        (path.corrected, path.anchor) = self.settled(&effects, &x, (anchor, MAX_ANCHORS), progress)?;
         self.drop_needless(path, thresholds, progress)
-    }
-
-    /// Fits from `x` and its `anchor`, replays, and fits again as long as that helps.
-    ///
-    /// # Errors
-    /// When a replay is impossible.
-    fn settled(
-        &self,
-        effects: &[Instance],
-        x: &[f64],
-        anchor: Anchor,
-        progress: &dyn Progress,
-    ) -> Result<(Model, Anchor)> {
-        let start = self.settle(effects, x, &anchor, None, 0)?;
-        let fitted = self.settle(effects, x, &anchor, Some(&start), STEPS[0])?;
-        let best = Some((start, anchor.clone()));
-        self.replayed_until_settled(fitted, (best, &anchor), (MAX_ANCHORS, f64::INFINITY), progress)
     }
 
     /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be
     /// credited with what the base had only not found yet.
-    fn fair_round(&self, path: &mut Path, number: usize, progress: &dyn Progress) -> Result<Vec<Fitted>> {
-        let alone = self.scene.alone();
-        let search = Search::new(&alone, self.settings, self.replay)?;
+    fn fair_round(
+        &self,
+        path: &mut Path,
+        (number, around_plain): (usize, Option<Scene<'_>>),
+        progress: &dyn Progress,
+    ) -> Result<Vec<Fitted>> {
+        let open = self.open(&path.corrected.effects);
+        let mut plain_scenes = vec![self.scene.alone()];
+        plain_scenes.extend(around_plain);
+        // From a base that is far from right, effects of the soil are looked for elsewhere.
+        let along = match self.replay {
+            Some(replay) if !path.corrected.is_far() => self.scene.along_all(replay, &open)?,
+            _ => self.scene.clone(),
+        };
+        let this = Search::new(&along, self.settings, self.replay)?;
         let mut tries = 0;
         loop {
             let mut x = path.corrected.x().to_vec();
@@ -224,16 +243,19 @@ impl Search<'_> {
                 x[..self.nuisances.len()].copy_from_slice(&path.plain);
             }
             let effects = &path.corrected.effects;
-            let anchor = search.anchored(effects, &x, None)?;
-            let model = search.settle(effects, &x, &anchor, None, 0)?;
-            let plain = Some(Plain { search: &search, model, anchor });
+            let plain = |scene| -> Result<Plain<'_>> {
+                let search = Search::new(scene, self.settings, self.replay)?;
+                let anchor = search.anchored(effects, &x, None)?;
+                Ok(Plain { model: search.settle(effects, &x, &anchor, None, 0)?, anchor, search })
+            };
+            let plain = plain_scenes.iter().map(plain).collect::<Result<_>>()?;
             let ground = Ground { plain, base: path.corrected.clone(), anchor: &path.anchor };
-            let round = self.round(ground, progress)?;
+            let round = this.round(ground, progress)?;
             path.corrected = round.base;
             tries += 1;
             if tries < MAX_TRIES
                 && let Some(best) = round.fitted.first().filter(|f| f.gain > 0.0)
-                && let Some((base, anchor)) = self.better_base(path, best, progress)?
+                && let Some((base, anchor)) = this.better_base(path, best, progress)?
             {
                 path.corrected = base;
                 path.anchor = anchor;
@@ -286,7 +308,7 @@ impl Search<'_> {
         let declared = self.settle(&[], &zero, &self.anchored(&[], &zero, None)?, None, 0)?;
         let before = self.anchored(&[], plain, None)?;
         let anchor = self.anchored(&[], centre, Some(&before))?;
-        let (recalibrated, anchor) = self.settled(&[], centre, anchor, progress)?;
+        let (recalibrated, anchor) = self.settled(&[], centre, (anchor, MAX_ANCHORS), progress)?;
         Ok(Path {
             declared,
             corrected: recalibrated.clone(),
@@ -297,80 +319,32 @@ impl Search<'_> {
             anchor,
             plain: plain.to_vec(),
             confirmed: None,
+            rival: None,
         })
-    }
-
-    /// Replays `wanted`, fits from there, and again as long as that helps, at most `most` times; gives up where a replay still
-    /// costs more than twice what is at stake and half of the one before. `best` is what is known already, `from` the anchor of
-    /// `wanted`.
-    ///
-    /// # Errors
-    /// When a replay is impossible.
-    pub(super) fn replayed_until_settled(
-        &self,
-        mut wanted: Model,
-        (mut best, from): (Option<(Model, Anchor)>, &Anchor),
-        (most, at_stake): (usize, f64),
-        progress: &dyn Progress,
-    ) -> Result<(Model, Anchor)> {
-        let effects = wanted.effects.clone();
-        let mut failures = 0;
-        let mut hold = 0.0;
-        for number in 0..most {
-            let next = self.anchored(&effects, wanted.x(), Some(best.as_ref().map_or(from, |b| &b.1)))?;
-            let seen = self.settle(&effects, wanted.x(), &next, Some(&wanted), 0)?;
-            let name = effects.last().map_or("recalibration", |e| e.kind);
-            progress.note(&format!(
-                "{name}: cost {:.0} + {:.0} expected, {:.0} + {:.0} found, {:.0} + {:.0} noise",
-                wanted.train.cost,
-                wanted.validation_cost(),
-                seen.train.cost,
-                seen.validation_cost(),
-                seen.expected[0],
-                seen.expected[1]
-            ));
-            let before = best.as_ref().map_or(f64::INFINITY, |b| b.0.cost());
-            if seen.cost() < before {
-                let is_done =
-                    seen.cost() > 0.995 * before || (number > 0 && seen.cost() > (2.0 * at_stake).max(0.5 * before));
-                hold = loosened(hold);
-                wanted = self.settle_held(&effects, seen.x(), (&next, Some(&seen)), STEPS[1], hold)?;
-                best = Some((seen, next));
-                failures = 0;
-                if is_done {
-                    break;
-                }
-            } else if let Some((best, anchor)) = &mut best {
-                // Not what was promised: what this replay has told keeps the next step from going there.
-                anchor.secants.learn(&next.secants);
-                hold = tightened(hold);
-                wanted = self.settle_held(&effects, best.x(), (anchor, Some(best)), STEPS[1], hold)?;
-                failures += 1;
-                if failures == MAX_FAILURES {
-                    break;
-                }
-            }
-        }
-        let Some((best, anchor)) = best else { return Ok((wanted, Anchor::fast(self.scene))) };
-        let fitted = self.settle(&effects, best.x(), &anchor, Some(&best), STEPS[1])?;
-        Ok((fitted, anchor))
     }
 
     /// Takes out effects that would raise no alarm any more: later ones, or the replays around them, have made them needless.
     fn drop_needless(&self, path: &mut Path, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
         let mut index = 0;
         while index < path.accepted.len() {
-            let mut effects = path.corrected.effects.clone();
-            let dropped = effects.remove(index);
-            let at = self.nuisances.len() + effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
-            let mut x = path.corrected.x().to_vec();
-            x.drain(at..at + dropped.free.len());
-            let without = self.settle(&effects, &x, &path.anchor, Some(&path.corrected), STEPS[1])?;
+            let dropped = &path.corrected.effects[index].clone();
+            // Its velocities may have been the tolerances' all along.
+            let (effects, mut x) = self.without(&path.corrected.effects, path.corrected.x(), index)?;
+            let unknowns = self.unknowns(&effects);
+            unknowns.clip(&mut x);
+            let mut without = (self.settle(&effects, &x, &path.anchor, None, STEPS[1])?, path.anchor.clone());
+            if !effects.is_empty() {
+                let (start, anchor) = without;
+                let at_stake = path.corrected.cost();
+                without = self.replayed_until_settled(start, (None, &anchor), (REPLAYS, at_stake), progress)?;
+            }
             let level = path.corrected.level().max(1.0);
-            let gain = (without.cost() - path.corrected.cost()) / level - self.charge() * parameters(&dropped);
-            if gain < thresholds.gain {
+            let gain = (without.0.cost() - path.corrected.cost()) / level - self.charge() * parameters(dropped);
+            let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
+            let least = thresholds.gain.max(DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max));
+            if gain < least {
                 progress.note(&format!("{} {} gains {gain:.0} no more", dropped.kind, dropped.place()));
-                path.corrected = without;
+                (path.corrected, path.anchor) = without;
                 path.accepted.remove(index);
             } else {
                 index += 1;
@@ -378,16 +352,6 @@ impl Search<'_> {
         }
         Ok(())
     }
-}
-
-/// The hold on the next fit after a replay that kept its promise.
-fn loosened(hold: f64) -> f64 {
-    if hold > HOLD[0] { 0.3 * hold } else { 0.0 }
-}
-
-/// The same after one that did not.
-fn tightened(hold: f64) -> f64 {
-    (HOLD[1] * hold).max(HOLD[0])
 }
 
 impl Path {

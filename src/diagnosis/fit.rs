@@ -1,10 +1,10 @@
 //! Joint estimates of nuisances and effects: bounded Levenberg–Marquardt on whitened residuals and priors.
 
 use super::anchor::Anchor;
-use super::cost::whitened;
+use super::cost::{changes, whitened};
 use super::followed::scaled;
 use super::responses::{Responses, Scene};
-use super::unknowns::Unknowns;
+use super::unknowns::{Placed, Unknowns};
 use crate::error::Result;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
@@ -78,9 +78,13 @@ impl Fitter<'_> {
     /// ∂ρ/∂x at `point` for the unknowns in `which`, column by column.
     pub fn jacobian(&self, unknowns: &Unknowns<'_>, point: &Point, which: &[usize]) -> Mat<f64> {
         let steps = unknowns.steps();
+        let followed = self.followed(unknowns, point, which, &steps);
         let columns: Vec<Vec<f64>> = which
             .par_iter()
             .map(|&i| {
+                if let Some((_, column)) = followed.iter().find(|(j, _)| *j == i) {
+                    return column.clone();
+                }
                 for sign in [1.0, -1.0] {
                     let mut x = point.x.clone();
                     x[i] += sign * steps[i];
@@ -98,6 +102,36 @@ impl Fitter<'_> {
             })
             .collect();
         Mat::from_fn(point.residual.len(), which.len(), |i, j| columns[j][i])
+    }
+
+    /// Those of [`Self::jacobian`] that neighbours follow and nothing else does: all in one go.
+    fn followed(
+        &self,
+        unknowns: &Unknowns<'_>,
+        point: &Point,
+        which: &[usize],
+        steps: &[f64],
+    ) -> Vec<(usize, Vec<f64>)> {
+        let of = |x: &[f64]| scaled(self.scene, unknowns, x).ok();
+        let moved = |&i: &usize| {
+            let step = |sign: f64| {
+                let mut x = point.x.clone();
+                x[i] += sign * steps[i];
+                unknowns.clip(&mut x);
+                let step = x[i] - point.x[i];
+                (step.abs() >= 0.5 * steps[i]).then_some((x, step))
+            };
+            let (x, step) = step(1.0).or_else(|| step(-1.0))?;
+            Some((i, step, of(&x)?))
+        };
+        let moved: Vec<_> = which.iter().filter(|i| unknowns.is_followed(**i)).filter_map(moved).collect();
+        let effects = unknowns.build(&self.scene.problem.declared, &point.x).ok();
+        let Some((effects, here)) = effects.zip(of(&point.x)).filter(|_| !moved.is_empty()) else { return Vec::new() };
+        let places: Vec<Placed> = moved.iter().map(|(_, _, place)| place.clone()).collect();
+        let all = changes(self.scene, &effects, &point.responses, (self.anchor, &here), (&places, self.groups));
+        let column =
+            |((i, step, _), change): (&(usize, f64, _), Vec<f64>)| (*i, change.into_iter().map(|c| c / step).collect());
+        moved.iter().zip(all).map(column).collect()
     }
 
     /// Minimises the cost from `start`, at most `steps` accepted steps.
@@ -246,7 +280,69 @@ pub(super) fn solved(a: &Mat<f64>, b: &[f64]) -> Option<Vec<f64>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::made_up::{problem, transfer};
+    use super::super::problem::{Event, Problem, Replay};
+    use super::super::search::Search;
+    use super::super::settings::DiagnoseSettings;
+    use super::super::unknowns::nuisances;
     use super::*;
+    use crate::numerics::spectrum;
+    use crate::progress::Quiet;
+    use crate::records::Split;
+
+    /// A uniform column that knows velocities and damping.
+    struct Uniform<'a>(&'a Problem);
+
+    impl Replay for Uniform<'_> {
+        fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+            let sum = |kind: &str, key: &str| -> f64 {
+                let of = |t: &&toml::Table| t["kind"].as_str() == Some(kind);
+                effects.iter().filter(of).filter_map(|t| t.get(key)?.as_float()).sum()
+            };
+            let vs_m_s = 200.0 * sum("layer_velocity", "ln_factor").exp();
+            let damping_ratio = 0.02 * sum("small_strain_damping", "multiplier").max(0.1);
+            let passed = |event: &Event| {
+                let at = |z: &f64| {
+                    let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
+                        [u * transfer(vs_m_s, damping_ratio, *z, f)]
+                    });
+                    motion
+                };
+                Some(self.0.array.depths_m.iter().map(at).collect())
+            };
+            Ok(self.0.events.iter().map(passed).collect())
+        }
+    }
+
+    #[test]
+    fn derivatives_of_what_neighbours_follow_are_those_of_residuals() {
+        let mut problem = problem("");
+        problem.events[10..].iter_mut().for_each(|e| e.split = Split::Validation);
+        let (settings, replay) = (DiagnoseSettings::default(), Uniform(&problem));
+        let mut scene = Scene::new(&problem, &settings).unwrap();
+        let n = nuisances(&problem).unwrap();
+        let x: Vec<f64> = n.iter().map(|n| if n.is_shaken { 0.3 } else { -0.2 }).collect();
+        let anchor = scene.look_around(&replay, &settings, (&[], &vec![0.0; n.len()]), &Quiet).unwrap();
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        // A second replay, so that the errors over a step count too.
+        let anchor = search.anchored(&[], &x, Some(&anchor)).unwrap();
+        let (unknowns, fitter) = (search.unknowns(&[]), search.fitter(&anchor));
+        let here: Vec<f64> = x.iter().map(|x| x + 0.4).collect();
+        let point = fitter.at(&unknowns, &here, None).unwrap();
+        let which: Vec<usize> = (0..n.len()).filter(|i| unknowns.is_followed(*i)).collect();
+        let jacobian = fitter.jacobian(&unknowns, &point, &which);
+        let mut moving = 0;
+        for (j, &i) in which.iter().enumerate() {
+            let mut there = here.clone();
+            there[i] += 1e-3;
+            let expected = difference(&fitter.at(&unknowns, &there, None).unwrap(), &point, 1e-3);
+            let size = expected.iter().map(|v| v * v).sum::<f64>().sqrt();
+            let miss = jacobian.col(j).iter().zip(&expected).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
+            assert!(miss <= 1e-6 * size, "{}: {miss} of {size}", n[i].what());
+            moving += usize::from(size > 1.0);
+        }
+        assert!(moving >= 3, "velocity, all velocities, damping: {moving}");
+    }
 
     #[test]
     fn what_a_fit_has_left_open_is_no_surprise() {

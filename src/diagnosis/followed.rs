@@ -2,9 +2,10 @@
 
 use super::neighbours::Neighbours;
 use super::responses::Scene;
-use super::unknowns::Unknowns;
+use super::search::Search;
+use super::unknowns::{Placed, Unknowns};
 use crate::column::Profile;
-use crate::effects::{self, Effect, Situation};
+use crate::effects::{self, Effect, Instance, Situation};
 use crate::error::Result;
 
 impl Scene<'_> {
@@ -42,12 +43,30 @@ impl Scene<'_> {
     }
 }
 
+impl Search<'_> {
+    /// `effects` and unknowns `x` without the effect at `index`, the tolerances of velocities having taken over what it did to these.
+    ///
+    /// # Errors
+    /// When the effect cannot be built.
+    pub(super) fn without(&self, effects: &[Instance], x: &[f64], index: usize) -> Result<(Vec<Instance>, Vec<f64>)> {
+        let mut effects = effects.to_vec();
+        let taken_out = effects.remove(index);
+        let at = self.nuisances.len() + effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
+        let mut x = x.to_vec();
+        let own: Vec<f64> = x.drain(at..at + taken_out.free.len()).collect();
+        let mut all = effects::build_all(&self.scene.problem.declared)?;
+        all.push(effects::build(&taken_out.at(&own))?);
+        x.iter_mut().zip(self.scene.velocity_shift(&all)).for_each(|(x, taken)| *x += taken);
+        Ok((effects, x))
+    }
+}
+
 /// `x` as anchors know it: effects in their typical sizes; those that neighbours follow count as nuisances, and as nothing by
 /// themselves.
 ///
 /// # Errors
 /// When an effect cannot be built.
-pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> Result<Vec<f64>> {
+pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> Result<Placed> {
     let mut scaled = unknowns.placed(x);
     let mut at = unknowns.nuisances.len();
     for instance in &unknowns.effects {
@@ -58,8 +77,8 @@ pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> R
         }
         let mut effects = effects::build_all(&scene.problem.declared)?;
         effects.push(effects::build(&instance.at(&x[own.clone()]))?);
-        let is_followed = scene.velocity_shift(&effects).iter().any(|s| *s != 0.0);
-        for (x, free) in scaled[own.clone()].iter_mut().zip(&instance.free) {
+        let is_followed = unknowns.axis(instance).is_none() && scene.velocity_shift(&effects).iter().any(|s| *s != 0.0);
+        for (x, free) in scaled.x[own.clone()].iter_mut().zip(&instance.free) {
             *x = if is_followed { 0.0 } else { *x / free.parameter.prior_sd };
         }
         at = own.end;

@@ -4,6 +4,7 @@ use super::anchor::Anchor;
 use super::cost::pairs;
 use super::generic::Pair;
 use super::search::Search;
+use super::unknowns::Placed;
 use crate::effects::Array;
 use crate::error::Result;
 use realfft::num_complex::Complex;
@@ -88,7 +89,7 @@ pub(super) fn suspicion(search: &Search<'_>, anchor: &Anchor) -> Result<Option<S
     let mut shots = Vec::new();
     for (groups, point) in [(&search.train, &declared.train), (&search.validation, &declared.validation)] {
         for g in groups.iter().filter(|g| scene.groups[**g].records.len() == array.components.len()) {
-            let rows = pairs(scene, &effects, &point.responses, (anchor, declared.x()), *g);
+            let rows = pairs(scene, &effects, &point.responses, (anchor, &Placed::plain(declared.x())), *g);
             let of = |choose: fn(&Pair) -> &Vec<C64>| -> Vec<Vec<Vec<C64>>> {
                 (0..array.outputs.len()).map(|s| rows.iter().map(|row| choose(&row[s]).clone()).collect()).collect()
             };

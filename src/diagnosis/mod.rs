@@ -2,8 +2,9 @@
 //! confirmation with the nonlinear column, choice on validation events, and honest silence.
 //!
 //! Residuals come from replays of the finite-element column. What a change of the soil within its tolerances does to
-//! them is told by replays around the estimate, what an effect does by a linear-equivalent column in the frequency
-//! domain ([`FastColumn`]) that replays anchor; each further replay corrects both along the steps taken. Noise of the
+//! them is told by replays around the estimate, what an effect of the soil does by replays along its strength, and any
+//! other by a linear-equivalent column in the frequency domain ([`FastColumn`]) that replays anchor; each further replay
+//! corrects all of them along the steps taken. Noise of the
 //! input sensor is in the cost, which therefore knows that a residual at a resonance of the column is worth little, and
 //! so is what a yielding column makes of that noise. Fits see training events alone; validation events are judged by
 //! what these let expect of them, the uncertainty of the fit included. Declared tolerances are nuisances of every test:
@@ -11,9 +12,11 @@
 //! array.
 
 mod anchor;
+mod axes;
 mod centre;
 mod coherence;
 mod comparison;
+mod confirm;
 mod cost;
 mod curves;
 mod diagnose;
@@ -28,11 +31,14 @@ mod independence;
 mod interference;
 mod line;
 mod low_frequency;
+#[cfg(test)]
+mod made_up;
 mod neighbours;
 mod noise;
 mod null_twins;
 mod operators;
 mod outcome;
+mod places;
 mod power;
 mod problem;
 mod propagated;
@@ -43,6 +49,7 @@ mod screen;
 mod search;
 mod secants;
 mod settings;
+mod settling;
 mod simulated;
 mod spectra;
 mod standing;
@@ -50,6 +57,7 @@ mod surroundings;
 mod together;
 mod tuning;
 mod unknowns;
+mod velocities;
 mod verdict;
 
 pub use coherence::{Coherent, Trace, coherent};

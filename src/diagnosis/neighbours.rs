@@ -1,19 +1,22 @@
 //! What the nonlinear column does near an estimate: replays around it, and between them.
 
 use super::anchor::Anchor;
+use super::axes::Axis;
 use super::problem::Replay;
 use super::propagated::propagated;
 use super::responses::Scene;
 use super::search::Search;
 use super::settings::DiagnoseSettings;
 use super::spectra::RecordSpectra;
-use super::unknowns::{Nuisance, Unknowns, nuisances};
+use super::unknowns::{Nuisance, Placed, Unknowns, nuisances};
+use super::velocities::{ln_velocity, velocity};
 use crate::column::Profile;
 use crate::effects::{self, Effect, Instance, Situation};
 use crate::error::Result;
 use crate::progress::Progress;
 use realfft::num_complex::Complex;
 use std::borrow::Cow;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 type C64 = Complex<f64>;
@@ -37,25 +40,36 @@ const FARTHEST: f64 = 60.0;
 /// changed together: that moves the resonances, narrow at small damping, so far that no slope holds. Of what a layer's velocity
 /// does, (2) is the part that moves resonances alike. Damping that cannot fall below nothing has a replay on either side.
 ///
-/// An effect that changes velocities is a larger change of the same kind: n_i grows by the ln of the velocity that has the mean
+/// Effects of the soil have replays of their own along their strength ([`Axis`]), which add to (1). Any other that changes
+/// velocities is a larger change of the same kind: n_i grows by the ln of the velocity that has the mean
 /// compliance of the layer.
 ///
 /// Limits: what two layers do together is the sum of what they do apart; replays at an estimate tell what that misses.
 /// Check:  `between_replays_lies_what_they_bracket`; `tests/diagnosis`: twins of the nonlinear column.
+#[derive(Clone)]
 pub struct Neighbours {
     /// The manifest's own effects.
-    declared: Vec<Box<dyn Effect>>,
+    declared: Arc<Vec<Box<dyn Effect>>>,
+    /// Nuisances of the estimate, and its `[[effects]]` beyond those.
+    pub(super) at: Vec<f64>,
+    pub(super) tables: Vec<toml::Table>,
+    /// Effects followed beside the nuisances.
+    pub(super) axes: Vec<Axis>,
     /// Where the first replay is, by group and record: its nuisances and what its effects do to velocities.
     centre: Vec<Vec<Vec<f64>>>,
     /// By nuisance.
     soil: Vec<Option<Soil>>,
     /// Replays of [`STRETCH`].
     stretch: Option<[usize; STRETCH.len()]>,
-    /// `[replay][group][record]`, the estimate's first; `None` where the column did not finish.
-    replays: Vec<Vec<Vec<Option<Seen>>>>,
+    /// The estimate's first; `None` where the column did not finish.
+    pub(super) replays: Vec<Arc<Replayed>>,
 }
 
+/// A replay, `[group][record]`.
+pub(super) type Replayed = Vec<Vec<Option<Seen>>>;
+
 /// A nuisance of the soil.
+#[derive(Clone)]
 struct Soil {
     /// Its replay one prior standard deviation up; none for the common velocity.
     up: Option<usize>,
@@ -89,20 +103,23 @@ impl Scene<'_> {
         progress: &dyn Progress,
     ) -> Result<Anchor> {
         let nuisances = &nuisances(self.problem)?;
-        let unknowns = Unknowns { nuisances, effects: instances.to_vec(), is_followed: true };
+        let unknowns = Unknowns { nuisances, effects: instances.to_vec(), axes: Some(&[]) };
         let common = nuisances.iter().rposition(|n| n.instance.kind == "layer_velocity");
         let mut all = Neighbours {
-            declared: effects::build_all(&self.problem.declared)?,
+            declared: Arc::new(effects::build_all(&self.problem.declared)?),
+            at: x[..nuisances.len()].to_vec(),
+            tables: unknowns.tables(x),
+            axes: Vec::new(),
             soil: nuisances.iter().map(|n| n.is_shaken.then(|| Soil::of(n))).collect(),
             stretch: None,
-            replays: vec![self.seen(&replay.replay_roughly(&unknowns.tables(x))?)],
+            replays: vec![Arc::new(self.seen(&replay.replay_roughly(&unknowns.tables(x))?))],
             centre: Vec::new(),
         };
         progress.start("neighbours", (nuisances.len() + STRETCH.len()) as u64);
         let run = |all: &mut Neighbours, nuisance: usize, deviations: f64| -> Result<usize> {
             let mut x = x.to_vec();
             x[nuisance] += deviations;
-            all.replays.push(self.seen(&replay.replay_roughly(&unknowns.tables(&x))?));
+            all.replays.push(Arc::new(self.seen(&replay.replay_roughly(&unknowns.tables(&x))?)));
             progress.advance(1);
             Ok(all.replays.len() - 1)
         };
@@ -122,8 +139,12 @@ impl Scene<'_> {
             all.stretch = Some(stretch);
             all.find_shares(common);
         }
+        all.keep_axes(self.neighbours.as_deref(), (nuisances, instances));
+        self.follow_effects(&mut all, replay, &unknowns, x);
+        let axes = all.axes.clone();
+        let unknowns = Unknowns { axes: Some(&axes), ..unknowns };
         let built = unknowns.build(&self.problem.declared, x)?;
-        let placed = unknowns.placed(x);
+        let placed = unknowns.placed(x).x;
         let centre = |record: &RecordSpectra| {
             let situation = &self.problem.events[record.event].situation;
             let shift = self.edited_beside(Some(&all), &built, situation).1;
@@ -139,7 +160,7 @@ impl Scene<'_> {
         Ok(anchor)
     }
 
-    fn seen(&self, replays: &[Option<Vec<Vec<f64>>>]) -> Vec<Vec<Option<Seen>>> {
+    pub(super) fn seen(&self, replays: &[Option<Vec<Vec<f64>>>]) -> Replayed {
         let of = |g: usize, r: usize| {
             let record = &self.groups[g].records[r];
             let window = record.window.clone();
@@ -209,10 +230,25 @@ impl Neighbours {
         }
     }
 
-    /// What each replay counts in (1) at `deviations`; the sum is one.
-    fn weights(&self, [g, r]: [usize; 2], deviations: &[f64]) -> Vec<f64> {
+    /// Keeps the axes of the neighbours `before` of effects that are not among these `instances`.
+    fn keep_axes(&mut self, before: Option<&Self>, (nuisances, instances): (&[Nuisance], &[Instance])) {
+        let Some(before) = before else { return };
+        let mut places = BTreeMap::new();
+        for axis in before.axes.iter().filter(|axis| !instances.contains(&axis.instance)) {
+            let place = |replay: usize| {
+                *places.entry(replay).or_insert_with(|| {
+                    self.replays.push(before.replays[replay].clone());
+                    self.replays.len() - 1
+                })
+            };
+            self.axes.extend(axis.kept(nuisances, place));
+        }
+    }
+
+    /// What each replay counts in (1); the sum is one.
+    fn weights(&self, [g, r]: [usize; 2], at: &Placed) -> Vec<f64> {
         let mut weights = vec![0.0; self.replays.len()];
-        let all = || self.soil.iter().zip(deviations.iter().zip(&self.centre[g][r]));
+        let all = || self.soil.iter().zip(at.x.iter().zip(&self.centre[g][r]));
         let soil = || all().filter_map(|(s, (n, centre))| Some((s.as_ref()?, n - centre)));
         let mut along = 0.0;
         for (soil, n) in soil() {
@@ -224,6 +260,13 @@ impl Neighbours {
             weights[replay] += n;
             weights[0] -= n;
             along += soil.share * n;
+        }
+        for (i, axis) in self.axes.iter().enumerate() {
+            let coordinate = at.axes.get(i).copied().flatten();
+            for (node, weight) in axis.weights(coordinate) {
+                weights[node.replay] += weight;
+                weights[node.from] -= weight;
+            }
         }
         let Some(stretch) = self.stretch else {
             weights[0] += 1.0;
@@ -241,7 +284,7 @@ impl Neighbours {
 
     /// What moving the soil `from` some deviations `to` others does to the motions of record `r` of group `g`: `[bin][sensor]`;
     /// empty where it is not known.
-    pub fn moved(&self, [g, r]: [usize; 2], from: &[f64], to: &[f64]) -> Vec<C64> {
+    pub fn moved(&self, [g, r]: [usize; 2], from: &Placed, to: &Placed) -> Vec<C64> {
         let weights: Vec<f64> =
             self.weights([g, r], to).iter().zip(self.weights([g, r], from)).map(|(to, from)| to - from).collect();
         let mut sum = Vec::new();
@@ -254,9 +297,9 @@ impl Neighbours {
     }
 
     /// (1) in time, `[sensor][step]` in the window; `None` where it is not known.
-    pub fn motions(&self, [g, r]: [usize; 2], deviations: &[f64]) -> Option<Vec<Vec<f64>>> {
+    pub fn motions(&self, [g, r]: [usize; 2], at: &Placed) -> Option<Vec<Vec<f64>>> {
         let mut sum: Vec<Vec<f64>> = Vec::new();
-        for (replay, weight) in self.replays.iter().zip(self.weights([g, r], deviations)).filter(|(_, w)| *w != 0.0) {
+        for (replay, weight) in self.replays.iter().zip(self.weights([g, r], at)).filter(|(_, w)| *w != 0.0) {
             let seen = replay[g][r].as_ref()?;
             sum.resize(seen.history.len(), Vec::new());
             for (sum, history) in sum.iter_mut().zip(&seen.history) {
@@ -309,32 +352,9 @@ fn between(s: f64) -> Vec<(usize, f64)> {
     nodes.clone().map(|i| (i, weight(i))).collect()
 }
 
-/// Velocity of the layer at `depth_m`, m/s.
-fn velocity(profile: &Profile, depth_m: f64) -> f64 {
-    let mut bottom_m = 0.0;
-    let layer = profile.layers.iter().find(|layer| {
-        bottom_m += layer.thickness_m;
-        depth_m < bottom_m
-    });
-    layer.or(profile.layers.last()).map_or(f64::NAN, |l| l.vs_m_s)
-}
-
-/// ln of the velocity that has the mean of 1/v² over a range.
-fn ln_velocity(profile: &Profile, [top_m, bottom_m]: [f64; 2]) -> f64 {
-    let mut at_m = 0.0;
-    let mut sum = 0.0;
-    for layer in &profile.layers {
-        let inside = (bottom_m.min(at_m + layer.thickness_m) - top_m.max(at_m)).max(0.0);
-        sum += inside / (layer.vs_m_s * layer.vs_m_s);
-        at_m += layer.thickness_m;
-    }
-    -0.5 * (sum / (bottom_m - top_m)).ln()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::column::Layer;
 
     /// Two velocities and a damping, every replay a number: the declared one, a step of each velocity, damping up and down, and
     /// all velocities together.
@@ -346,11 +366,14 @@ mod tests {
         let velocity = |up| Some(Soil { up, down: None, share: 0.0, range: Some(([0.0, 1.0], 0.03)) });
         let damping = Some(Soil { up: Some(3), down: Some(4), share: 0.0, range: None });
         let mut all = Neighbours {
-            declared: Vec::new(),
+            declared: Arc::default(),
+            at: Vec::new(),
+            tables: Vec::new(),
+            axes: Vec::new(),
             centre: vec![vec![vec![0.0; 4]]],
             soil: vec![velocity(Some(1)), velocity(Some(2)), velocity(None), damping],
             stretch: Some([5, 6, 7, 0, 8, 9, 10]),
-            replays: values.into_iter().map(seen).collect(),
+            replays: values.into_iter().map(seen).map(Arc::new).collect(),
         };
         all.find_shares(2);
         all
@@ -360,22 +383,14 @@ mod tests {
     fn between_replays_lies_what_they_bracket() {
         let curved = |[a, b]: [f64; 2], d: f64| 1.0 + (0.3 * (a + 2.0 * b)).sin() + d.max(0.0);
         let all = neighbours(curved);
-        let at = |n: [f64; 4]| all.motions([0, 0], &n).unwrap()[0][0];
+        let soil = |n: [f64; 4]| Placed::plain(&n);
+        let at = |n: [f64; 4]| all.motions([0, 0], &soil(n)).unwrap()[0][0];
         assert!((at([0.0, 0.0, 1.0, 0.0]) - curved([0.4, 0.2], 0.0)).abs() < 2e-3);
         assert!((at([1.0, 0.0, 0.0, 0.0]) - curved([1.0, 0.0], 0.0)).abs() < 2e-2);
         assert!((at([2.0, 1.0, 0.0, 0.0]) - curved([2.0, 1.0], 0.0)).abs() < 5e-2, "far along what all do alike");
         assert!((at([0.0, 0.0, 0.0, 0.5]) - 1.5).abs() < 1e-12 && (at([0.0, 0.0, 0.0, -2.0]) - 1.0).abs() < 1e-12);
         let (from, to) = ([0.3, 0.0, 0.1, 0.2], [0.1, 0.7, -0.4, -1.0]);
-        let moved = all.moved([0, 0], &from, &to)[0];
+        let moved = all.moved([0, 0], &soil(from), &soil(to))[0];
         assert!((moved - C64::new(1.0, -1.0) * (at(to) - at(from))).norm() < 1e-12);
-    }
-
-    #[test]
-    fn a_seam_counts_by_its_compliance() {
-        let layer = |thickness_m: f64, vs_m_s: f64| Layer::plain("elastic", thickness_m, 2000.0, vs_m_s);
-        let profile = Profile::plain(vec![layer(0.75, 100.0), layer(0.25, 50.0), layer(2.0, 300.0)]);
-        let slow = 0.75 / 100.0f64.powi(2) + 0.25 / 50.0f64.powi(2);
-        assert!((ln_velocity(&profile, [0.0, 1.0]) - (1.0 / slow.sqrt()).ln()).abs() < 1e-12);
-        assert_eq!((velocity(&profile, 0.9), velocity(&profile, 9.0)), (50.0, 300.0));
     }
 }

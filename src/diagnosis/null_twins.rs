@@ -88,7 +88,8 @@ fn null(scene: &Scene<'_>, centre: &Anchor, settings: &DiagnoseSettings, seed: u
     let nuisances = nuisances(scene.problem)?;
     let deviations = drawn(&nuisances, seed);
     let is_followed = scene.neighbours.is_some();
-    let truth = Unknowns { nuisances: &nuisances, effects: Vec::new(), is_followed }.build(&[], &deviations)?;
+    let axes = scene.neighbours.as_ref().map(|n| &n.axes[..]);
+    let truth = Unknowns { nuisances: &nuisances, effects: Vec::new(), axes }.build(&[], &deviations)?;
     let disturbance =
         Disturbance { seed: Some(seed), model_error: settings.model_error, deviations: Some(&deviations) };
     let problem = scene.simulated(&truth, disturbance)?;
@@ -99,7 +100,7 @@ fn null(scene: &Scene<'_>, centre: &Anchor, settings: &DiagnoseSettings, seed: u
     let anchor = &anchor.heard_in(&twin, &truth);
     // From the truth: what is measured is what noise and tolerances look like, not how far the way to them is.
     let base = search.settle(&[], &deviations, anchor, None, STEPS)?;
-    let round = search.round(Ground { plain: None, base, anchor }, &Quiet)?;
+    let round = search.round(Ground { plain: Vec::new(), base, anchor }, &Quiet)?;
     let n = round.base.expected[1];
     Ok(Null {
         gain: round.fitted.first().map_or(0.0, |f| f.gain),

@@ -9,6 +9,7 @@ use super::propagated::Propagated;
 use super::settings::DiagnoseSettings;
 use super::spectra::{self, Group};
 use super::tuning::Tuning;
+use super::unknowns::Placed;
 use crate::column::Profile;
 use crate::effects::{self, Effect, Operator, Situation};
 use crate::error::Result;
@@ -86,9 +87,10 @@ pub struct RecordResponse {
 }
 
 impl Responses {
-    /// The soil of record `r` of group `g`, its nuisances being `x`: deviations that neighbours follow.
-    pub(super) fn deviations(&self, [g, r]: [usize; 2], x: &[f64]) -> Vec<f64> {
-        self.shifts[g][r].iter().zip(x).map(|(shift, x)| shift + x).collect()
+    /// The soil of record `r` of group `g` at the unknowns `x`: deviations of its nuisances and effects that neighbours follow.
+    pub(super) fn deviations(&self, [g, r]: [usize; 2], x: &Placed) -> Placed {
+        let soil = self.shifts[g][r].iter().zip(&x.x).map(|(shift, x)| shift + x).collect();
+        Placed { x: soil, axes: x.axes.clone() }
     }
 }
 

@@ -1,7 +1,9 @@
 //! One round of the forward search: screen, fit the few, judge them on validation events, confirm the best.
 
 use super::anchor::Anchor;
+use super::axes::is_followable;
 use super::line::hidden;
+use super::responses::Scene;
 use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
 use super::unknowns::TOLERATED;
@@ -12,12 +14,10 @@ use rayon::prelude::*;
 
 /// Steps of a joint fit and of a restart of the base.
 const STEPS: [usize; 2] = [6, 8];
-/// Share of the best gain above which the runner-up is confirmed too.
-const CLOSE_SHARE: f64 = 0.7;
+/// Steps of the joint fit where replays and further fits follow.
+const FAR_STEPS: usize = 3;
 /// Effects that start by taking over what tolerances have in common with them.
 const TAKEN_OVER: usize = 4;
-/// Most replays of an effect to be confirmed.
-const REPLAYS: usize = 6;
 /// Effects weaker than this many prior standard deviations are not effects.
 const TRIVIAL: f64 = 0.05;
 
@@ -35,16 +35,16 @@ pub struct Fitted {
     /// Whether the nonlinear column confirmed it.
     pub is_confirmed: bool,
     /// Costs of the base on training and validation events where it was fitted.
-    against: [f64; 2],
-    /// Whether it was fitted from the replay of the plain nuisances.
-    is_plain: bool,
+    pub(super) against: [f64; 2],
+    /// Which of [`Ground::plain`] it was fitted from; the base where none.
+    pub(super) plain: Option<usize>,
 }
 
-/// A start of a fit: the instance, the unknowns, and which of two anchors.
+/// A start of a fit: the instance, the unknowns, and where it is made.
 struct Start {
     instance: usize,
     x: Vec<f64>,
-    is_plain: bool,
+    plain: Option<usize>,
 }
 
 /// What a round found.
@@ -57,11 +57,11 @@ pub struct Round {
     pub anchor: Option<Anchor>,
 }
 
-/// Where large effects are looked for: at the nuisances before they could take the place of an effect, and on the fast column
-/// alone, because what replays around the base tell does not reach that far.
+/// Where large effects are looked for: at the nuisances before they could take the place of an effect. What replays around the
+/// base tell does not reach that far: replays around this one do, or the fast column alone. Their fits end in different places.
 pub struct Plain<'a> {
-    /// The search on the fast column.
-    pub search: &'a Search<'a>,
+    /// The search there.
+    pub search: Search<'a>,
     /// Plain nuisances with the effects found so far.
     pub model: Model,
     /// Its anchor.
@@ -70,8 +70,8 @@ pub struct Plain<'a> {
 
 /// The start of a round.
 pub struct Ground<'a> {
-    /// Where large effects are looked for; `None` skips it.
-    pub plain: Option<Plain<'a>>,
+    /// Where large effects are looked for.
+    pub plain: Vec<Plain<'a>>,
     /// The best model so far.
     pub base: Model,
     /// Its anchor.
@@ -86,41 +86,48 @@ impl Search<'_> {
     pub fn round(&self, ground: Ground<'_>, progress: &dyn Progress) -> Result<Round> {
         let Ground { plain, mut base, anchor } = ground;
         let unknowns = self.unknowns(&base.effects);
-        let open: Vec<Instance> = self.instances.iter().filter(|i| !is_taken(i, &base.effects)).cloned().collect();
+        let open = self.open(&base.effects);
         let mut starts: Vec<Start> = Vec::new();
-        let mut reference: Option<Model> = None;
-        if let Some(Plain { search, model, anchor }) = &plain {
-            let alone = search.unknowns(&base.effects);
-            let (_, found) = screen(&search.fitter(anchor), &alone, &model.train, &open, Pass::Grid);
-            let picked = self.picked(found, &open, self.settings.finalists).into_iter();
-            starts.extend(picked.map(|s| Start {
-                instance: s.instance,
-                x: joined(model.x(), &s.start),
-                is_plain: true,
-            }));
-            reference = Some(search.settle(&base.effects, model.x(), anchor, Some(model), STEPS[1])?);
+        let mut looked = Vec::new();
+        for (i, plain) in plain.iter().enumerate() {
+            let (more, scene, reference) = self.plain_starts((i, plain), &base, (&open, &starts))?;
+            starts.extend(more);
+            looked.push((scene, reference));
         }
         let (_, found) = screen(&self.fitter(anchor), &unknowns, &base.train, &open, Pass::Score);
         let few = self.settings.finalists.div_ceil(2) + 1;
-        let picked = self.picked(found, &open, few).into_iter();
-        starts.extend(picked.map(|s| Start { instance: s.instance, x: joined(base.x(), &s.start), is_plain: false }));
-        starts.extend(self.taken_over(&base, anchor, &open)?);
+        let picked = self.picked(found, &open, (few, 0));
+        let near = picked.into_iter();
+        let mut near: Vec<Start> =
+            near.map(|s| Start { instance: s.instance, x: joined(base.x(), &s.start), plain: None }).collect();
+        near.extend(self.taken_over(&base, anchor, &open)?);
+        let along = self.along(self.scene, &near, &open)?;
+        starts.extend(near);
+        let this = &Search::new(&along, self.settings, self.replay)?;
+        let mut searches = Vec::new();
+        for (plain, (scene, _)) in plain.into_iter().zip(&looked) {
+            searches.push(Plain { search: Search::new(scene, self.settings, self.replay)?, ..plain });
+        }
+        let plain = searches;
         let fit = |start: &Start| {
             let instance = open[start.instance].clone();
             let mut effects = base.effects.clone();
             effects.push(instance.clone());
             // What is fitted at the plain nuisances is compared with the base fitted there.
-            let (search, near, anchor) = match (&plain, &reference) {
-                (Some(plain), Some(model)) if start.is_plain => (plain.search, model, &plain.anchor),
-                _ => (self, &base, anchor),
+            let (search, near, anchor) = match start.plain {
+                Some(i) => (&plain[i].search, &looked[i].1, &plain[i].anchor),
+                None => (this, &base, anchor),
             };
-            let model = search.settle(&effects, &start.x, anchor, Some(near), STEPS[0]).ok()?;
+            let steps = if base.is_far() && is_followable(&instance) { FAR_STEPS } else { STEPS[0] };
+            let model = search.settle(&effects, &start.x, anchor, Some(near), steps).ok()?;
+            // Replays around the plain nuisances tell costs as they are.
+            let near = if search.scene.neighbours.is_some() { &base } else { near };
             let against = [near.train.cost, near.validation_cost()];
-            let is_plain = start.is_plain;
-            Some(Fitted { instance, model, gain: 0.0, validation_gain: 0.0, is_confirmed: false, against, is_plain })
+            let plain = start.plain;
+            Some(Fitted { instance, model, gain: 0.0, validation_gain: 0.0, is_confirmed: false, against, plain })
         };
         let (from_plain, mut fitted): (Vec<_>, Vec<_>) =
-            starts.par_iter().filter_map(fit).collect::<Vec<_>>().into_iter().partition(|f| f.is_plain);
+            starts.par_iter().filter_map(fit).collect::<Vec<_>>().into_iter().partition(|f| f.plain.is_some());
         self.restart(&mut base, &fitted, anchor)?;
         for f in &mut fitted {
             f.against = [base.train.cost, base.validation_cost()];
@@ -128,8 +135,48 @@ impl Search<'_> {
         let near_base = fitted.clone();
         fitted.extend(from_plain);
         self.judge(&mut fitted, &base);
-        let anchor = self.confirm(&mut fitted, near_base, (&base, anchor, plain.as_ref()), progress)?;
+        let anchor = this.confirm(&mut fitted, near_base, (&base, anchor, &plain), progress)?;
+        let mut seen: Vec<Instance> = Vec::new();
+        fitted.retain(|f| {
+            let is_new = !seen.contains(&f.instance);
+            seen.extend(is_new.then(|| f.instance.clone()));
+            is_new
+        });
         Ok(Round { base, fitted, anchor })
+    }
+
+    /// Starts of fits from `plain`, which is number `i` and may look for those of `open` that others have `known`; its scene with
+    /// replays along them, and the base fitted there.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    fn plain_starts<'s>(
+        &self,
+        (i, Plain { search, model, anchor }): (usize, &Plain<'s>),
+        base: &Model,
+        (open, known): (&[Instance], &[Start]),
+    ) -> Result<(Vec<Start>, Scene<'s>, Model)> {
+        // Replays are dear: they go along what the fast column has found worth a start.
+        let worth = |instance: &&Instance| known.is_empty() || known.iter().any(|s| open[s.instance] == **instance);
+        let wanted: Vec<Instance> = open.iter().filter(worth).cloned().collect();
+        let along = self.replay.map_or(Ok(search.scene.clone()), |r| search.scene.along_all(r, &wanted))?;
+        let search = Search::new(&along, self.settings, self.replay)?;
+        let unknowns = search.unknowns(&base.effects);
+        let (_, mut found) = screen(&search.fitter(anchor), &unknowns, &model.train, open, Pass::Grid);
+        found.retain(|s| wanted.contains(&open[s.instance]));
+        let places = if !base.is_far() {
+            0
+        } else if known.is_empty() {
+            2
+        } else {
+            1
+        };
+        let picked = self.picked(found, open, (self.settings.finalists, places)).into_iter();
+        let start = |s: Screened| Start { instance: s.instance, x: joined(model.x(), &s.start), plain: Some(i) };
+        let starts: Vec<Start> = picked.map(start).collect();
+        let reference = search.settle(&base.effects, model.x(), anchor, Some(model), STEPS[1])?;
+        let scene = self.along(&along, &starts, open)?;
+        Ok((starts, scene, reference))
     }
 
     /// Starts with an effect whose velocities take over what those of the tolerances have in common with them; the few of
@@ -140,60 +187,72 @@ impl Search<'_> {
     fn taken_over(&self, base: &Model, anchor: &Anchor, open: &[Instance]) -> Result<Vec<Start>> {
         let mut tried: Vec<(f64, Start)> = Vec::new();
         for (instance, effect) in open.iter().enumerate() {
-            let Some(x) = self.instead(base, effect)? else { continue };
+            let Some(x) = self.instead(&base.effects, base.x(), effect)? else { continue };
             let effects = [&base.effects[..], std::slice::from_ref(effect)].concat();
             let cost = self.fitter(anchor).at(&self.unknowns(&effects), &x, Some(&base.train.responses))?.cost;
-            tried.push((cost, Start { instance, x, is_plain: false }));
+            tried.push((cost, Start { instance, x, plain: None }));
         }
         tried.sort_by(|a, b| a.0.total_cmp(&b.0));
         Ok(tried.into_iter().take(TAKEN_OVER).map(|(_, start)| start).collect())
     }
 
-    /// Unknowns with `instance` instead of the tolerance of the same kind, or of what velocities have in common with it: the same motions, and
-    /// room for more where a tolerance is at its end. `None` where there is nothing to take over.
+    /// Unknowns `x` with `instance` instead of the tolerance of the same kind, or of what velocities have in common with it: the same
+    /// motions, and room for more where a tolerance is at its end. `None` where there is nothing to take over.
     ///
     /// # Errors
     /// When the effect cannot be built.
-    fn instead(&self, base: &Model, instance: &Instance) -> Result<Option<Vec<f64>>> {
+    pub(super) fn instead(&self, effects: &[Instance], from: &[f64], instance: &Instance) -> Result<Option<Vec<f64>>> {
         let (Some(zero), [free]) = (instance.zero(), &instance.free[..]) else { return Ok(None) };
         let step = TRIVIAL * free.parameter.prior_sd;
-        let unknowns = self.unknowns(&base.effects);
+        let unknowns = self.unknowns(effects);
         if let Some(n) = unknowns.followed_as(instance) {
-            let own = zero[0] + base.x()[n] * self.nuisances[n].deviation;
-            let mut x = base.x().to_vec();
+            let own = zero[0] + from[n] * self.nuisances[n].deviation;
+            let mut x = from.to_vec();
             x[n] = 0.0;
             x.push(own);
             return Ok(((own - zero[0]).abs() > step).then_some(x));
         }
-        let mut effects = effects::build_all(&self.scene.problem.declared)?;
-        effects.push(effects::build(&instance.at(&[zero[0] + step]))?);
-        let shift: Vec<f64> = self.scene.velocity_shift(&effects).iter().map(|s| s / step).collect();
+        let mut built = effects::build_all(&self.scene.problem.declared)?;
+        built.push(effects::build(&instance.at(&[zero[0] + step]))?);
+        let shift: Vec<f64> = self.scene.velocity_shift(&built).iter().map(|s| s / step).collect();
         let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
         let square = dot(&shift, &shift);
-        let amount = if square > 0.0 { dot(base.x(), &shift) / square } else { 0.0 };
+        let amount = if square > 0.0 { dot(from, &shift) / square } else { 0.0 };
         let [[low, high]] = instance.bounds()[..] else { return Ok(None) };
         let own = (zero[0] + amount).clamp(low, high);
         if (own - zero[0]).abs() < step {
             return Ok(None);
         }
-        let mut x = base.x().to_vec();
+        let mut x = from.to_vec();
         x.iter_mut().zip(&shift).for_each(|(x, s)| *x -= s * (own - zero[0]));
         x.push(own);
         Ok(Some(x))
     }
 
-    /// The best of each kind, at most two places of it, `most` in all.
-    fn picked(&self, mut found: Vec<Screened>, open: &[Instance], most: usize) -> Vec<Screened> {
+    /// What could be added to `effects`.
+    pub(super) fn open(&self, effects: &[Instance]) -> Vec<Instance> {
+        self.instances.iter().filter(|i| !effects.contains(i)).cloned().collect()
+    }
+
+    /// The `scene` with replays along the effects of `open` that start somewhere.
+    fn along<'s>(&self, scene: &Scene<'s>, starts: &[Start], open: &[Instance]) -> Result<Scene<'s>> {
+        let Some(replay) = self.replay else { return Ok(scene.clone()) };
+        let wanted: Vec<(&Instance, f64)> =
+            starts.iter().filter_map(|s| Some((&open[s.instance], *s.x.last()?))).collect();
+        scene.along(replay, &wanted)
+    }
+
+    /// The best, at most two places of a kind, `most` in all; and the best `places` of every kind that replays can follow, where the
+    /// screening cannot be trusted to see them.
+    fn picked(&self, mut found: Vec<Screened>, open: &[Instance], (most, places): (usize, usize)) -> Vec<Screened> {
         let charged = |s: &Screened| s.fall - self.charge() * parameters(&open[s.instance]);
         found.sort_by(|a, b| charged(b).total_cmp(&charged(a)).then(a.instance.cmp(&b.instance)));
         let mut picked: Vec<Screened> = Vec::new();
         for screened in found {
-            let kind = open[screened.instance].kind;
-            if picked.iter().filter(|p| open[p.instance].kind == kind).count() < 2 {
+            let instance = &open[screened.instance];
+            let alike = picked.iter().filter(|p| open[p.instance].kind == instance.kind).count();
+            if (picked.len() < most && alike < 2) || (is_followable(instance) && alike < places) {
                 picked.push(screened);
-            }
-            if picked.len() == most {
-                break;
             }
         }
         picked
@@ -220,8 +279,8 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// Gains over `base`, best first; one entry for each instance.
-    fn judge(&self, fitted: &mut Vec<Fitted>, base: &Model) {
+    /// Gains over `base`, best first; one entry for each instance and place it was fitted from, one for each that is confirmed.
+    pub(super) fn judge(&self, fitted: &mut Vec<Fitted>, base: &Model) {
         let level = fitted.iter().map(|f| f.model.level()).fold(base.level(), f64::min).max(1.0);
         for f in fitted.iter_mut() {
             let fall = (f.against[0] - f.model.train.cost) / level;
@@ -241,14 +300,14 @@ impl Search<'_> {
         }
         fitted
             .sort_by(|a, b| b.gain.total_cmp(&a.gain).then_with(|| a.model.train.cost.total_cmp(&b.model.train.cost)));
-        let mut seen: Vec<Instance> = Vec::new();
-        fitted.retain(|f| {
-            let is_new = !seen.contains(&f.instance);
-            if is_new {
-                seen.push(f.instance.clone());
+        let mut seen: Vec<Fitted> = Vec::new();
+        for f in fitted.drain(..) {
+            let is_known = |s: &Fitted| s.instance == f.instance && (s.is_confirmed || s.plain == f.plain);
+            if !seen.iter().any(is_known) {
+                seen.push(f);
             }
-            is_new
-        });
+        }
+        *fitted = seen;
     }
 
     /// The nuisance that is the same thing as this effect, and its value, prior standard deviations, that would replace both.
@@ -272,84 +331,11 @@ impl Search<'_> {
             .zip(&zero)
             .all(|((f, x), zero)| f.zero.is_none() || (x - zero).abs() < TRIVIAL * f.parameter.prior_sd)
     }
-
-    /// Replays the best, and then whatever is close behind or has become the best, and fits again from there; the anchor
-    /// of the best. Where none of these keeps what it promised from the declared values, those fitted `near_base` have
-    /// their turn, and only what they gain on the replayed base counts.
-    fn confirm(
-        &self,
-        fitted: &mut Vec<Fitted>,
-        near_base: Vec<Fitted>,
-        from: (&Model, &Anchor, Option<&Plain<'_>>),
-        progress: &dyn Progress,
-    ) -> Result<Option<Anchor>> {
-        let mut anchors: Vec<(Instance, Anchor)> = Vec::new();
-        let base = from.0;
-        if self.replay.is_none() {
-            return Ok(None);
-        }
-        self.replay_best(fitted, &mut anchors, from, progress)?;
-        if fitted.first().is_some_and(|f| f.gain > 0.0 && !f.is_confirmed) {
-            fitted.extend(near_base);
-            for f in fitted.iter_mut() {
-                f.against = [base.train.cost, base.validation_cost()];
-            }
-            self.judge(fitted, base);
-            self.replay_best(fitted, &mut anchors, from, progress)?;
-        }
-        let best = fitted.first().filter(|f| f.is_confirmed).map(|f| &f.instance);
-        Ok(anchors.into_iter().rev().find(|(instance, _)| Some(instance) == best).map(|(_, anchor)| anchor))
-    }
-
-    /// Replays the best of `fitted` and what is close behind, as many as may be.
-    fn replay_best(
-        &self,
-        fitted: &mut Vec<Fitted>,
-        anchors: &mut Vec<(Instance, Anchor)>,
-        (base, near_base, plain): (&Model, &Anchor, Option<&Plain<'_>>),
-        progress: &dyn Progress,
-    ) -> Result<()> {
-        for done in 0..=self.settings.confirmed {
-            let Some(index) = self.next_to_confirm(fitted, done) else { break };
-            let f = &mut fitted[index];
-            let limits = (REPLAYS, base.cost());
-            let wanted = f.model.clone();
-            let (model, anchor) = match plain.filter(|_| f.is_plain) {
-                Some(Plain { search, anchor, .. }) => {
-                    let found = search.replayed_until_settled(wanted, (None, anchor), limits, progress)?.0;
-                    let anchor = self.anchored(&found.effects, found.x(), None)?;
-                    (self.settle(&found.effects, found.x(), &anchor, None, 0)?, anchor)
-                }
-                None => self.replayed_until_settled(wanted, (None, near_base), limits, progress)?,
-            };
-            f.model = model;
-            f.is_confirmed = true;
-            f.against = [base.train.cost, base.validation_cost()];
-            anchors.push((f.instance.clone(), anchor));
-            self.judge(fitted, base);
-        }
-        Ok(())
-    }
-
-    /// The best if it is not confirmed, else the first of another kind that is close behind.
-    fn next_to_confirm(&self, fitted: &[Fitted], done: usize) -> Option<usize> {
-        let best = fitted.first().filter(|f| f.gain > 0.0)?;
-        if !best.is_confirmed {
-            return Some(0);
-        }
-        let kinds: Vec<&str> = fitted.iter().filter(|f| f.is_confirmed).map(|f| f.instance.kind).collect();
-        let is_open = |f: &Fitted| f.gain >= CLOSE_SHARE * best.gain && !kinds.contains(&f.instance.kind);
-        if done < self.settings.confirmed { fitted.iter().position(is_open) } else { None }
-    }
 }
 
 /// Parameters that an effect is charged for: a discrete choice counts as one.
 pub fn parameters(instance: &Instance) -> f64 {
     instance.free.len().max(1) as f64
-}
-
-fn is_taken(instance: &Instance, effects: &[Instance]) -> bool {
-    effects.iter().any(|e| e.is_same(instance))
 }
 
 fn joined(x: &[f64], start: &[f64]) -> Vec<f64> {

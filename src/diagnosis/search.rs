@@ -11,6 +11,12 @@ use crate::effects::{self, Instance};
 use crate::error::{Error, Result};
 use crate::records::Split;
 
+/// Standard deviations beyond noise at which a model is no place to see an effect of the soil from.
+const FAR: f64 = 30.0;
+
+/// Standard deviations beyond noise up to which nothing is left.
+pub(super) const CLEAN: f64 = 3.0;
+
 /// Everything that stays the same during a diagnosis.
 pub struct Search<'a> {
     /// The problem in the frequency domain.
@@ -71,6 +77,16 @@ impl Model {
         [of(square(&self.train.residual), self.expected[0]), of(self.validation_cost(), self.expected[1])]
     }
 
+    /// Whether so much is left that this is no place to see an effect of the soil from.
+    pub fn is_far(&self) -> bool {
+        self.surprise().into_iter().any(|s| s > FAR)
+    }
+
+    /// Whether no more than noise is left.
+    pub fn is_clean(&self) -> bool {
+        self.surprise().into_iter().all(|s| s < CLEAN)
+    }
+
     /// Cost beyond that of noise alone.
     pub fn excess(&self) -> f64 {
         self.cost() - self.expected[0] - self.expected[1]
@@ -116,7 +132,8 @@ impl<'a> Search<'a> {
 
     /// Unknowns with these effects.
     pub fn unknowns(&self, effects: &[Instance]) -> Unknowns<'_> {
-        Unknowns { nuisances: &self.nuisances, effects: effects.to_vec(), is_followed: self.scene.neighbours.is_some() }
+        let axes = self.scene.neighbours.as_ref().map(|n| &n.axes[..]);
+        Unknowns { nuisances: &self.nuisances, effects: effects.to_vec(), axes }
     }
 
     /// A fitter on the training events.
@@ -136,30 +153,30 @@ impl<'a> Search<'a> {
         near: Option<&Model>,
         steps: usize,
     ) -> Result<Model> {
-        self.settle_held(effects, x, (anchor, near), steps, 0.0)
-    }
-
-    /// The same with a `hold` on the way from `x`: [`Fitter::fit`].
-    ///
-    /// # Errors
-    /// When `x` cannot be evaluated.
-    pub fn settle_held(
-        &self,
-        effects: &[Instance],
-        x: &[f64],
-        (anchor, near): (&Anchor, Option<&Model>),
-        steps: usize,
-        hold: f64,
-    ) -> Result<Model> {
         let unknowns = self.unknowns(effects);
         let fitter = self.fitter(anchor);
-        let start = fitter.at(&unknowns, x, near.map(|m| &m.train.responses))?;
-        let train = fitter.fit(&unknowns, start, steps, hold)?;
+        let train = self.fitted(effects, x, (anchor, near), (steps, 0.0))?;
         let judge = Fitter { groups: &self.validation, ..fitter };
         let validation = judge.at(&unknowns, &train.x, near.map(|m| &m.validation.responses))?;
         let expected = [&train, &validation].map(|p| p.residual.len() as f64);
         let unforeseen = fitter.predictive(&unknowns, &train, (&judge, &validation));
         Ok(Model { effects: effects.to_vec(), train, validation, unforeseen, expected })
+    }
+
+    /// The same on training events, not judged, with a `hold` on the way from `x`: [`Fitter::fit`].
+    ///
+    /// # Errors
+    /// When `x` cannot be evaluated.
+    pub(super) fn fitted(
+        &self,
+        effects: &[Instance],
+        x: &[f64],
+        (anchor, near): (&Anchor, Option<&Model>),
+        (steps, hold): (usize, f64),
+    ) -> Result<Point> {
+        let (unknowns, fitter) = (self.unknowns(effects), self.fitter(anchor));
+        let start = fitter.at(&unknowns, x, near.map(|m| &m.train.responses))?;
+        fitter.fit(&unknowns, start, steps, hold)
     }
 
     /// Replays the events at `x`, `before` being the anchor from which it was reached; without a replay, the fast column is its own anchor.

@@ -4,6 +4,7 @@ use super::noise::{drawn, normal};
 use super::problem::{Event, Problem};
 use super::responses::Scene;
 use super::spectra::{self, smoothed};
+use super::unknowns::Placed;
 use crate::effects::{self, Direction, Effect, Recording};
 use crate::error::Result;
 use crate::numerics::random;
@@ -52,7 +53,8 @@ impl Scene<'_> {
                     .seed
                     .map(|seed| random::stream(seed, &format!("model {} {}", event.name, event.component())));
                 motions[0].push(event.input[record.window.clone()].to_vec());
-                let replayed = disturbance.deviations.and_then(|n| self.neighbours.as_ref()?.motions([g, r], n));
+                let soil = disturbance.deviations.map(Placed::plain);
+                let replayed = soil.and_then(|n| self.neighbours.as_ref()?.motions([g, r], &n));
                 let computed = replayed.unwrap_or_else(|| self.motions(truth, [g, r], &responses));
                 let count = array.outputs.len();
                 let propagated = self.propagated.get(g).map_or(&[][..], |g| &g[r]);

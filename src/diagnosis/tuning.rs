@@ -3,6 +3,7 @@
 use super::anchor::Anchor;
 use super::problem::Replay;
 use super::responses::Scene;
+use super::unknowns::Placed;
 use crate::effects;
 use crate::error::Result;
 use faer::linalg::solvers::Solve;
@@ -54,7 +55,7 @@ impl Scene<'_> {
         let built = effects::build_all(&self.problem.declared)?;
         let all: Vec<usize> = (0..self.groups.len()).collect();
         let responses = self.responses(&built, &all, None)?;
-        let anchor = Anchor::of(self, &replays, (&built, &vec![0.0; n_nuisance]), &responses, None);
+        let anchor = Anchor::of(self, &replays, (&built, &Placed::plain(&vec![0.0; n_nuisance])), &responses, None);
         Ok(anchor)
     }
 

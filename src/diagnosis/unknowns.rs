@@ -1,5 +1,6 @@
 //! What is estimated: nuisances with the priors of the declared tolerances, and the free parameters of effects.
 
+use super::axes::Axis;
 use super::problem::Problem;
 use crate::effects::{self, Array, Effect, Free, Instance, Parameter};
 use crate::error::{Error, Result};
@@ -41,6 +42,11 @@ impl Nuisance {
     /// The parameter that moves.
     pub fn parameter(&self) -> &'static Parameter {
         self.instance.free[0].parameter
+    }
+
+    /// Whether `effect` is the same change of the ground.
+    pub fn is_same(&self, effect: &Instance) -> bool {
+        self.is_shaken && effect.free.len() == 1 && self.instance.is_same(effect)
     }
 
     fn zero(&self) -> f64 {
@@ -134,8 +140,25 @@ pub struct Unknowns<'a> {
     pub nuisances: &'a [Nuisance],
     /// Effects, in the order of their parameters.
     pub effects: Vec<Instance>,
-    /// Whether the fast column keeps what is declared of the ground's motion because neighbours of the nonlinear one follow it.
-    pub is_followed: bool,
+    /// Effects that neighbours of the nonlinear column follow; with them, the fast column keeps what is declared of the ground's
+    /// motion, because the neighbours follow that. `None` where there are no neighbours.
+    pub axes: Option<&'a [Axis]>,
+}
+
+/// Unknowns as anchors and neighbours know them.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Placed {
+    /// Nuisances, then effects.
+    pub x: Vec<f64>,
+    /// Coordinate of the effect on each axis; `None` where it is not there.
+    pub axes: Vec<Option<f64>>,
+}
+
+impl Placed {
+    /// Unknowns none of which is on an axis.
+    pub fn plain(x: &[f64]) -> Self {
+        Self { x: x.to_vec(), axes: Vec::new() }
+    }
 }
 
 impl Unknowns<'_> {
@@ -171,17 +194,45 @@ impl Unknowns<'_> {
     /// do to velocities they follow in any case.
     pub fn followed_as(&self, effect: &Instance) -> Option<usize> {
         let is_other = effect.kind != "layer_velocity" && effect.free.len() == 1;
-        self.nuisances.iter().position(|n| self.is_followed && n.is_shaken && is_other && n.instance.is_same(effect))
+        let is_followed = self.axes.is_some() && self.axis(effect).is_none();
+        self.nuisances.iter().position(|n| is_followed && n.is_shaken && is_other && n.instance.is_same(effect))
     }
 
-    /// `x` with what is followed as a nuisance among these, and nothing where it was.
-    pub fn placed(&self, x: &[f64]) -> Vec<f64> {
-        let mut placed = x.to_vec();
+    /// Whether unknown `i` moves nothing but what neighbours follow.
+    pub fn is_followed(&self, i: usize) -> bool {
+        if let Some(nuisance) = self.nuisances.get(i) {
+            return self.axes.is_some() && nuisance.is_shaken;
+        }
+        let mut end = self.nuisances.len();
+        let effect = self.effects.iter().find(|e| {
+            end += e.free.len();
+            i < end
+        });
+        effect.is_some_and(|e| self.followed_as(e).or(self.axis(e)).is_some())
+    }
+
+    /// The axis along which neighbours follow `effect`.
+    pub fn axis(&self, effect: &Instance) -> Option<usize> {
+        self.axes?.iter().position(|axis| axis.instance == *effect)
+    }
+
+    /// `x` with what is followed as a nuisance among these, and nothing where it was; what has an axis on it.
+    pub fn placed(&self, x: &[f64]) -> Placed {
+        let mut placed = Placed { x: x.to_vec(), axes: vec![None; self.axes.map_or(0, <[Axis]>::len)] };
         let mut at = self.nuisances.len();
         for effect in &self.effects {
             if let Some(nuisance) = self.followed_as(effect) {
-                placed[nuisance] += self.nuisances[nuisance].deviations(x[at]);
-                placed[at] = 0.0;
+                placed.x[nuisance] += self.nuisances[nuisance].deviations(x[at]);
+                placed.x[at] = 0.0;
+            }
+            if let Some((i, axis)) = self.axis(effect).zip(self.axes).map(|(i, axes)| (i, &axes[i])) {
+                let mut coordinate = x[at];
+                if let Some(n) = self.nuisances.iter().position(|n| n.is_same(effect)) {
+                    // Both go along the axis.
+                    coordinate += self.nuisances[n].deviation * (x[n] - axis.nuisance);
+                    placed.x[n] = axis.nuisance;
+                }
+                placed.axes[i] = Some(coordinate);
             }
             at += effect.free.len();
         }
@@ -195,8 +246,9 @@ impl Unknowns<'_> {
     pub fn build(&self, declared: &[toml::Table], x: &[f64]) -> Result<Vec<Box<dyn Effect>>> {
         let mut effects = effects::build_all(declared)?;
         let (nuisances, others) = x.split_at(self.nuisances.len());
-        let taken = self.nuisances.iter().zip(nuisances).filter(|(n, _)| !(self.is_followed && n.is_shaken));
-        let own = self.effects.iter().zip(self.effect_tables(others)).filter(|(e, _)| self.followed_as(e).is_none());
+        let taken = self.nuisances.iter().zip(nuisances).filter(|(n, _)| !(self.axes.is_some() && n.is_shaken));
+        let is_fast = |e: &Instance| self.followed_as(e).is_none() && self.axis(e).is_none();
+        let own = self.effects.iter().zip(self.effect_tables(others)).filter(|(e, _)| is_fast(e));
         for table in taken.map(|(n, x)| n.table(*x)).chain(own.map(|(_, table)| table)) {
             effects.push(effects::build(&table)?);
         }
@@ -244,12 +296,12 @@ mod tests {
             Nuisance::new("small_strain_damping", &[], 0.3).unwrap(),
         ];
         let effects = vec![nuisances[0].instance.clone()];
-        let followed = Unknowns { nuisances: &nuisances, effects, is_followed: true };
+        let followed = Unknowns { nuisances: &nuisances, effects, axes: Some(&[]) };
         let x = [0.5, -1.0, -0.6];
-        let placed = followed.placed(&x);
+        let placed = followed.placed(&x).x;
         assert!((placed[0] - (0.5 - 0.6 / 0.15)).abs() < 1e-12 && placed[1..] == [-1.0, 0.0]);
         assert_eq!((followed.build(&[], &x).unwrap().len(), followed.tables(&x).len()), (0, 3));
-        let alone = Unknowns { is_followed: false, ..followed.clone() };
-        assert_eq!((alone.placed(&x), alone.build(&[], &x).unwrap().len()), (x.to_vec(), 3));
+        let alone = Unknowns { axes: None, ..followed.clone() };
+        assert_eq!((alone.placed(&x).x, alone.build(&[], &x).unwrap().len()), (x.to_vec(), 3));
     }
 }

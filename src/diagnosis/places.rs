@@ -1,0 +1,129 @@
+//! Where else an effect could sit: the place that was found first may only be next to the right one.
+
+use super::anchor::Anchor;
+use super::problem::{Replay, Roughly};
+use super::responses::Scene;
+use super::search::{Model, Search};
+use super::settings::DiagnoseSettings;
+use super::settling::MAX_ANCHORS;
+use crate::effects::Instance;
+use crate::error::Result;
+use crate::progress::{Progress, Quiet};
+
+/// Most times an effect is moved to a place next to its own.
+const MAX_MOVES: usize = 3;
+/// Places tried on either side.
+const REACH: usize = 2;
+/// Strengths tried there, as shares of the strength found here.
+const STRENGTHS: [f64; 3] = [0.75, 1.0, 1.33];
+/// Steps of a fit there.
+const STEPS: usize = 4;
+/// Most replays there.
+const REPLAYS: usize = 6;
+/// Share of the excess over noise that another place must take away.
+const WORTHWHILE: f64 = 0.1;
+
+impl Scene<'_> {
+    /// The model with its last effect moved to a better place: that of a `rival`, if there is one; then those next to its own, as
+    /// long as more than noise is left and that helps. The scene looks around there.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn moved(
+        &mut self,
+        ((mut model, mut anchor), mut rival): ((Model, Anchor), Option<Model>),
+        replay: &dyn Replay,
+        settings: &DiagnoseSettings,
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        for _ in 0..MAX_MOVES {
+            let is_rival = rival.is_some();
+            let elsewhere = match rival.take() {
+                Some(rival) => Some((rival.effects.clone(), rival.x().to_vec())),
+                None if model.is_clean() => None,
+                None => Search::new(self, settings, Some(replay))?.elsewhere(&model)?,
+            };
+            let Some((effects, x)) = elsewhere else { break };
+            let mut there = self.clone();
+            let around = there.look_around(replay, settings, (&effects, &x), progress)?;
+            let found =
+                Search::new(&there, settings, Some(replay))?.settled(&effects, &x, (around, MAX_ANCHORS), progress)?;
+            if found.0.cost() < model.cost() - worthwhile(&model, settings) {
+                ((model, anchor), *self) = (found, there);
+            } else if !is_rival {
+                break;
+            }
+        }
+        Ok((model, anchor))
+    }
+}
+
+/// What another place must cost less than the `model`.
+fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
+    settings.ambiguity.max(WORTHWHILE * model.excess())
+}
+
+/// The last effect of a model at another place, and where fits there start.
+struct Place {
+    effects: Vec<Instance>,
+    starts: Vec<Vec<f64>>,
+}
+
+impl Search<'_> {
+    /// The places next to that of the last effect of `model`.
+    fn places(&self, model: &Model) -> Result<Vec<Place>> {
+        let Some((last, others)) = model.effects.split_last() else { return Ok(Vec::new()) };
+        let alike: Vec<&Instance> =
+            self.instances.iter().filter(|i| i.kind == last.kind && i.free.len() == last.free.len()).collect();
+        let (Some(here), Some(zero)) = (alike.iter().position(|i| *i == last), last.zero()) else {
+            return Ok(Vec::new());
+        };
+        let (_, released) = self.without(&model.effects, model.x(), others.len())?;
+        let strength = model.x().len() - last.free.len();
+        let mut places = Vec::new();
+        for place in &alike[here.saturating_sub(REACH)..(here + REACH + 1).min(alike.len())] {
+            if model.effects.contains(place) {
+                continue;
+            }
+            let scaled = STRENGTHS.iter().map(|share| {
+                let mut x = model.x().to_vec();
+                x[strength] = zero[0] + share * (x[strength] - zero[0]);
+                x
+            });
+            let effects = [others, &[(*place).clone()]].concat();
+            let unknowns = self.unknowns(&effects);
+            let mut starts: Vec<Vec<f64>> = scaled.chain(self.instead(others, &released, place)?).collect();
+            starts.iter_mut().for_each(|x| unknowns.clip(x));
+            places.push(Place { effects, starts });
+        }
+        Ok(places)
+    }
+
+    /// The effects and unknowns of `model` with its last effect at another place nearby, at which rough replays leave clearly less;
+    /// `None` where there is none.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    fn elsewhere(&self, model: &Model) -> Result<Option<(Vec<Instance>, Vec<f64>)>> {
+        let Some(replay) = self.replay else { return Ok(None) };
+        let roughly = Roughly(replay);
+        let search = Search::new(self.scene, self.settings, Some(&roughly))?;
+        let at = |effects: &[Instance], x: &[f64]| -> Result<(Model, Anchor)> {
+            let anchor = search.anchored(effects, x, None)?;
+            Ok((search.settle(effects, x, &anchor, None, STEPS)?, anchor))
+        };
+        let here = at(&model.effects, model.x())?.0;
+        let mut best = (here.cost() - worthwhile(&here, self.settings), None);
+        for Place { effects, starts } in self.places(model)? {
+            let tried = starts.iter().filter_map(|x| at(&effects, x).ok());
+            let Some((start, anchor)) = tried.min_by(|a, b| a.0.cost().total_cmp(&b.0.cost())) else { continue };
+            let found = search.replayed_until_settled(start, (None, &anchor), (REPLAYS, f64::INFINITY), &Quiet);
+            if let Ok((found, _)) = found
+                && found.cost() < best.0
+            {
+                best = (found.cost(), Some((effects, found.x().to_vec())));
+            }
+        }
+        Ok(best.1)
+    }
+}
