@@ -204,7 +204,7 @@ mod tests {
 
     #[test]
     fn a_late_input_turns_what_the_anchor_adds() {
-        let seen_by = InputSensor { source: 0, probes: [Operator::IDENTITY; 3] };
+        let seen_by = InputSensor { source: 0, probes: [Operator::IDENTITY; 3], added: 0.0 };
         let record = RecordAnchor {
             factor: Vec::new(),
             rest: vec![C64::new(1.0, 0.0)],

@@ -90,19 +90,30 @@ impl Scene<'_> {
     pub fn true_input(&self, effects: &[Box<dyn Effect>], operators: &Operators<'_>, g: usize, r: usize) -> Vec<C64> {
         let group = &self.groups[g];
         let source = self.source(effects, 0);
+        let added = |c: usize| Some(self.bins(g, c, &self.added(effects, [g, c], source)?));
+        let added: Vec<Option<Vec<C64>>> = (0..group.records.len()).map(added).collect();
+        let recorded = |c: usize, k: usize| group.records[c].channels[source][k] - taken(&added[c], k);
         let event = group.records[r].event;
         let bins = group.frequencies_hz.iter().enumerate();
-        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| group.records[c].channels[source][k]))
-            .collect()
+        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| recorded(c, k))).collect()
     }
 
     /// The same at the frequencies of the convolver.
     pub fn padded_input(&self, effects: &[Box<dyn Effect>], operators: &Operators<'_>, g: usize, r: usize) -> Vec<C64> {
         let group = &self.groups[g];
         let source = self.source(effects, 0);
+        let added = |c: usize| {
+            let added = self.added(effects, [g, c], source)?;
+            Some(group.convolver.forward(added.get(group.records[c].window.clone())?))
+        };
+        let added: Vec<Option<Vec<C64>>> = (0..group.records.len()).map(added).collect();
+        let recorded = |c: usize, k: usize| group.records[c].padded[source][k] - taken(&added[c], k);
         let event = group.records[r].event;
         let bins = group.convolver.frequencies_hz.iter().enumerate();
-        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| group.records[c].padded[source][k]))
-            .collect()
+        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| recorded(c, k))).collect()
     }
+}
+
+fn taken(added: &Option<Vec<C64>>, k: usize) -> C64 {
+    added.as_ref().map_or(C64::default(), |added| added[k])
 }

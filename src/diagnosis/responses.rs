@@ -60,11 +60,13 @@ pub struct Responses {
     shifts: Vec<Vec<Vec<f64>>>,
 }
 
-/// The state of the input sensor as seen at three frequencies, and the channel that its motion is on.
+/// The state of the input sensor as seen at three frequencies, the channel that its motion is on, and what it adds by itself.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InputSensor {
     pub(super) source: usize,
     pub(super) probes: [Operator; 3],
+    /// Σ of what it adds in the first record, m/s².
+    pub(super) added: f64,
 }
 
 /// Response of one record's column.
@@ -362,7 +364,9 @@ impl<'a> Scene<'a> {
         let frequencies_hz = &self.groups[g].frequencies_hz;
         let n = frequencies_hz.len();
         let probes = [0, n / 3, n - 1].map(|k| operators.at(0, frequencies_hz[k]));
-        InputSensor { source: self.source(effects, 0), probes }
+        let source = self.source(effects, 0);
+        let added = self.added(effects, [g, 0], source).map_or(0.0, |added| added.iter().map(|x| x.abs()).sum());
+        InputSensor { source, probes, added }
     }
 
     /// Motions of the output sensors' places of record `r` of group `g`, not tapered.

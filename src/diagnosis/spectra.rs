@@ -96,7 +96,7 @@ impl Convolver {
     }
 
     /// Spectrum of a history of `n` samples followed by silence.
-    fn forward(&self, x: &[f64]) -> Vec<C64> {
+    pub fn forward(&self, x: &[f64]) -> Vec<C64> {
         let plan = &self.padded[0];
         let (mut buffer, mut out) = (plan.make_input_vec(), plan.make_output_vec());
         let count = self.n.min(x.len());
