@@ -40,7 +40,7 @@ impl Search<'_> {
         if fitted.first().is_some_and(|f| f.gain > 0.0 && !f.is_confirmed) {
             fitted.extend(near_base);
             for f in fitted.iter_mut() {
-                f.against = [base.train.cost, base.validation_cost()];
+                f.against = base.costs();
             }
             self.judge(fitted, base);
             self.replay_best(fitted, &mut anchors, from, progress)?;
@@ -79,7 +79,7 @@ impl Search<'_> {
                     let Ok(found) = found else { return false };
                     (*model, *anchor) = found;
                     fitted[*i].model = model.clone();
-                    fitted[*i].against = [base.train.cost, base.validation_cost()];
+                    fitted[*i].against = base.costs();
                     true
                 });
                 tries.sort_by(|a, b| a.1.cost().total_cmp(&b.1.cost()));
@@ -100,8 +100,7 @@ impl Search<'_> {
         let anchor = there.look_around(replay, self.settings, (&wanted.effects, wanted.x()), progress)?;
         let search = Search::new(&there, self.settings, self.replay)?;
         let found = search.settled(&wanted.effects, wanted.x(), (anchor, REPLAYS), progress)?.0;
-        let anchor = self.anchored(&found.effects, found.x(), None)?;
-        Ok((self.settle(&found.effects, found.x(), &anchor, None, 0)?, anchor))
+        self.seen(&found)
     }
 
     /// Settles `wanted` by another search, and sees it from here.
@@ -113,6 +112,11 @@ impl Search<'_> {
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
         let found = search.replayed_until_settled(wanted, (None, anchor), limits, progress)?.0;
+        self.seen(&found)
+    }
+
+    /// `found` by another search, replayed and seen from here.
+    fn seen(&self, found: &Model) -> Result<(Model, Anchor)> {
         let anchor = self.anchored(&found.effects, found.x(), None)?;
         Ok((self.settle(&found.effects, found.x(), &anchor, None, 0)?, anchor))
     }
@@ -146,7 +150,7 @@ impl Search<'_> {
             };
             f.model = model;
             f.is_confirmed = true;
-            f.against = [base.train.cost, base.validation_cost()];
+            f.against = base.costs();
             anchors.push((f.instance.clone(), anchor));
             self.judge(fitted, base);
         }

@@ -32,13 +32,7 @@ pub fn whitened(
     (anchor, x): (&Anchor, &Placed),
     groups: &[usize],
 ) -> Vec<f64> {
-    let amounts = &anchor.amounts(scene, effects, x);
-    let whiten = |g: &usize| {
-        let mut out = vec![Vec::with_capacity(scene.groups[*g].n_residual())];
-        each_bin(scene, effects, responses, (anchor, x, amounts), (*g, &[]), |bin| bin.whiten(&mut out));
-        out.concat()
-    };
-    groups.par_iter().map(whiten).collect::<Vec<Vec<f64>>>().concat()
+    all_whitened(scene, effects, responses, (anchor, x), (&[], groups)).concat().concat()
 }
 
 /// By how much [`whitened`] changes on each way from `x` to one of `moved`, which differs by what neighbours follow only: motions
@@ -52,6 +46,19 @@ pub fn changes(
     (anchor, x): (&Anchor, &Placed),
     (moved, groups): (&[Placed], &[usize]),
 ) -> Vec<Vec<f64>> {
+    let by_group = all_whitened(scene, effects, responses, (anchor, x), (moved, groups));
+    let of = |way: usize| by_group.iter().flat_map(move |g| g[1 + way].iter().map(|v| -v)).collect();
+    (0..moved.len()).map(of).collect()
+}
+
+/// By group, [`whitened`] and then what is predicted more at each of `moved`, whitened too.
+fn all_whitened(
+    scene: &Scene<'_>,
+    effects: &[Box<dyn Effect>],
+    responses: &Responses,
+    (anchor, x): (&Anchor, &Placed),
+    (moved, groups): (&[Placed], &[usize]),
+) -> Vec<Vec<Vec<f64>>> {
     let amounts = &anchor.amounts(scene, effects, x);
     let ways: Vec<(&Placed, Vec<f64>)> = moved.iter().map(|m| (m, anchor.amounts(scene, effects, m))).collect();
     let whiten = |g: &usize| {
@@ -59,9 +66,7 @@ pub fn changes(
         each_bin(scene, effects, responses, (anchor, x, amounts), (*g, &ways), |bin| bin.whiten(&mut out));
         out
     };
-    let by_group: Vec<Vec<Vec<f64>>> = groups.par_iter().map(whiten).collect();
-    let of = |way: usize| by_group.iter().flat_map(move |g| g[1 + way].iter().map(|v| -v)).collect();
-    (0..moved.len()).map(of).collect()
+    groups.par_iter().map(whiten).collect()
 }
 
 /// What is predicted and what was recorded in group `g`, `[record][sensor]`; interference is out of both.

@@ -19,8 +19,8 @@ use crate::error::{Error, Result};
 use crate::progress::Progress;
 use std::cmp::Ordering;
 
-/// Most steps of the recalibration, and after a new anchor.
-const STEPS: [usize; 2] = [12, 6];
+/// Most steps of a fit.
+const STEPS: usize = 6;
 /// Looks around, at least and at most: the first near the declared soil, the others at the recalibrated one.
 const LOOKS: [usize; 2] = [2, 3];
 /// Standard deviations by which costs exceed those of noise where the last of them is taken.
@@ -127,13 +127,8 @@ fn diagnose_rest(
     // Where the recalibrated model leaves no more than noise, there is nothing to explain.
     let rounds = if path.recalibrated.excess() > 0.0 { settings.max_effects } else { 0 };
     for number in 1..=rounds {
-        let around_plain = around_plain.take();
-        let is_found = Search::new(&scene, settings, Some(replay))?.step(
-            &mut path,
-            (number, around_plain),
-            thresholds,
-            progress,
-        )?;
+        let ground = (number, around_plain.take());
+        let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
         progress.advance(1);
         if !is_found {
             break;
@@ -290,9 +285,9 @@ impl Search<'_> {
         if let Some((nuisance, value)) = self.tolerance(best) {
             x[nuisance] = value.clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS);
         }
-        let near = self.settle(&base.effects, &x, &path.anchor, Some(base), STEPS[1])?;
+        let near = self.settle(&base.effects, &x, &path.anchor, Some(base), STEPS)?;
         let anchor = self.anchored(&base.effects, near.x(), Some(&path.anchor))?;
-        let model = self.settle(&base.effects, near.x(), &anchor, Some(&near), STEPS[1])?;
+        let model = self.settle(&base.effects, near.x(), &anchor, Some(&near), STEPS)?;
         progress.note(&format!("base: {:.0} so far, {:.0} from the effect's nuisances", base.cost(), model.cost()));
         let is_better = base.cost() - model.cost() > 0.3 * best.gain.max(self.charge());
         Ok(is_better.then_some((model, anchor)))
@@ -330,9 +325,8 @@ impl Search<'_> {
             let dropped = &path.corrected.effects[index].clone();
             // Its velocities may have been the tolerances' all along.
             let (effects, mut x) = self.without(&path.corrected.effects, path.corrected.x(), index)?;
-            let unknowns = self.unknowns(&effects);
-            unknowns.clip(&mut x);
-            let mut without = (self.settle(&effects, &x, &path.anchor, None, STEPS[1])?, path.anchor.clone());
+            self.unknowns(&effects).clip(&mut x);
+            let mut without = (self.settle(&effects, &x, &path.anchor, None, STEPS)?, path.anchor.clone());
             if !effects.is_empty() {
                 let (start, anchor) = without;
                 let at_stake = path.corrected.cost();

@@ -85,20 +85,12 @@ impl Fitter<'_> {
                 if let Some((_, column)) = followed.iter().find(|(j, _)| *j == i) {
                     return column.clone();
                 }
-                for sign in [1.0, -1.0] {
-                    let mut x = point.x.clone();
-                    x[i] += sign * steps[i];
-                    unknowns.clip(&mut x);
-                    let step = x[i] - point.x[i];
-                    if step.abs() < 0.5 * steps[i] {
-                        continue;
-                    }
-                    let Ok(moved) = self.at(unknowns, &x, Some(&point.responses)) else { continue };
-                    if moved.cost.is_finite() {
-                        return difference(&moved, point, step);
-                    }
-                }
-                vec![0.0; point.residual.len()]
+                let column = |(x, step): (Vec<f64>, f64)| {
+                    let moved = self.at(unknowns, &x, Some(&point.responses)).ok()?;
+                    moved.cost.is_finite().then(|| difference(&moved, point, step))
+                };
+                let column = stepped(unknowns, &point.x, i, steps[i]).find_map(column);
+                column.unwrap_or_else(|| vec![0.0; point.residual.len()])
             })
             .collect();
         Mat::from_fn(point.residual.len(), which.len(), |i, j| columns[j][i])
@@ -114,14 +106,7 @@ impl Fitter<'_> {
     ) -> Vec<(usize, Vec<f64>)> {
         let of = |x: &[f64]| scaled(self.scene, unknowns, x).ok();
         let moved = |&i: &usize| {
-            let step = |sign: f64| {
-                let mut x = point.x.clone();
-                x[i] += sign * steps[i];
-                unknowns.clip(&mut x);
-                let step = x[i] - point.x[i];
-                (step.abs() >= 0.5 * steps[i]).then_some((x, step))
-            };
-            let (x, step) = step(1.0).or_else(|| step(-1.0))?;
+            let (x, step) = stepped(unknowns, &point.x, i, steps[i]).next()?;
             Some((i, step, of(&x)?))
         };
         let moved: Vec<_> = which.iter().filter(|i| unknowns.is_followed(**i)).filter_map(moved).collect();
@@ -230,6 +215,17 @@ fn beyond(precision: &Mat<f64>, jacobian: &Mat<f64>, residual: &[f64]) -> f64 {
     square - explained.map_or(0.0, |x| x.iter().zip(&open).map(|(x, b)| x * b).sum())
 }
 
+/// `from` with unknown `i` a `step` up and then down, as far as the bounds leave at least half of it, and what is left of it.
+fn stepped(unknowns: &Unknowns<'_>, from: &[f64], i: usize, step: f64) -> impl Iterator<Item = (Vec<f64>, f64)> {
+    [step, -step].into_iter().filter_map(move |signed| {
+        let mut x = from.to_vec();
+        x[i] += signed;
+        unknowns.clip(&mut x);
+        let taken = x[i] - from[i];
+        (taken.abs() >= 0.5 * step).then_some((x, taken))
+    })
+}
+
 /// Derivative of the residuals from `point` to `moved`.
 pub(super) fn difference(moved: &Point, point: &Point, step: f64) -> Vec<f64> {
     moved.residual.iter().zip(&point.residual).map(|(a, b)| (a - b) / step).collect()
@@ -280,7 +276,7 @@ pub(super) fn solved(a: &Mat<f64>, b: &[f64]) -> Option<Vec<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::made_up::{problem, transfer};
+    use super::super::made_up::{judged, transfer};
     use super::super::problem::{Event, Problem, Replay};
     use super::super::search::Search;
     use super::super::settings::DiagnoseSettings;
@@ -288,7 +284,6 @@ mod tests {
     use super::*;
     use crate::numerics::spectrum;
     use crate::progress::Quiet;
-    use crate::records::Split;
 
     /// A uniform column that knows velocities and damping.
     struct Uniform<'a>(&'a Problem);
@@ -316,8 +311,7 @@ mod tests {
 
     #[test]
     fn derivatives_of_what_neighbours_follow_are_those_of_residuals() {
-        let mut problem = problem("");
-        problem.events[10..].iter_mut().for_each(|e| e.split = Split::Validation);
+        let problem = judged("");
         let (settings, replay) = (DiagnoseSettings::default(), Uniform(&problem));
         let mut scene = Scene::new(&problem, &settings).unwrap();
         let n = nuisances(&problem).unwrap();

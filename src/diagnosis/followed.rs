@@ -21,6 +21,16 @@ impl Scene<'_> {
         self.problem.events.first().map_or(Vec::new(), |event| self.edited(effects, &event.situation).1)
     }
 
+    /// The same of the declared effects and the one of `table`.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    pub(super) fn velocity_shift_with(&self, table: &toml::Table) -> Result<Vec<f64>> {
+        let mut all = effects::build_all(&self.problem.declared)?;
+        all.push(effects::build(table)?);
+        Ok(self.velocity_shift(&all))
+    }
+
     /// The fast column's profile, and what `effects` do to velocities where neighbours follow these.
     pub(super) fn edited(&self, effects: &[Box<dyn Effect>], situation: &Situation) -> (Profile, Vec<f64>) {
         self.edited_beside(self.neighbours.as_deref(), effects, situation)
@@ -54,9 +64,8 @@ impl Search<'_> {
         let at = self.nuisances.len() + effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
         let mut x = x.to_vec();
         let own: Vec<f64> = x.drain(at..at + taken_out.free.len()).collect();
-        let mut all = effects::build_all(&self.scene.problem.declared)?;
-        all.push(effects::build(&taken_out.at(&own))?);
-        x.iter_mut().zip(self.scene.velocity_shift(&all)).for_each(|(x, taken)| *x += taken);
+        let taken = self.scene.velocity_shift_with(&taken_out.at(&own))?;
+        x.iter_mut().zip(taken).for_each(|(x, taken)| *x += taken);
         Ok((effects, x))
     }
 }
@@ -75,9 +84,8 @@ pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> R
             at = own.end;
             continue;
         }
-        let mut effects = effects::build_all(&scene.problem.declared)?;
-        effects.push(effects::build(&instance.at(&x[own.clone()]))?);
-        let is_followed = unknowns.axis(instance).is_none() && scene.velocity_shift(&effects).iter().any(|s| *s != 0.0);
+        let shift = scene.velocity_shift_with(&instance.at(&x[own.clone()]))?;
+        let is_followed = unknowns.axis(instance).is_none() && shift.iter().any(|s| *s != 0.0);
         for (x, free) in scaled.x[own.clone()].iter_mut().zip(&instance.free) {
             *x = if is_followed { 0.0 } else { *x / free.parameter.prior_sd };
         }

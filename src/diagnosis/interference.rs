@@ -36,7 +36,7 @@ impl Scene<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::made_up::problem;
+    use super::super::made_up::judged;
     use super::super::operators::Operators;
     use super::super::problem::Problem;
     use super::super::settings::DiagnoseSettings;
@@ -48,14 +48,12 @@ mod tests {
         let table = "kind = 'baseline_tilt'\nsensor = 'base'\ntilt_deg = 0.3\n";
         let tilt = effects::build_all(&[toml::from_str(table).unwrap()]).unwrap();
         let input = |problem: &Problem, effects: &[Box<dyn Effect>]| {
-            let mut problem = problem.clone();
-            problem.events[10..].iter_mut().for_each(|e| e.split = crate::records::Split::Validation);
-            let scene = Scene::new(&problem, &DiagnoseSettings::default()).unwrap();
+            let scene = Scene::new(problem, &DiagnoseSettings::default()).unwrap();
             let operators = Operators::new(&scene, effects);
             let padded = scene.padded_input(effects, &operators, 0, 0);
             (scene.true_input(effects, &operators, 0, 0), padded, scene.input_sensor(effects, &operators, 0))
         };
-        let (plain, tilted) = (problem(""), problem(table));
+        let (plain, tilted) = (judged(""), judged(table));
         let (wanted, wanted_padded, _) = input(&plain, &[]);
         let far = |a: &[C64], b: &[C64]| a.iter().zip(b).map(|(a, b)| (a - b).norm_sqr()).sum::<f64>().sqrt();
         let (wrong, wrong_padded, as_it_is) = input(&tilted, &[]);

@@ -80,6 +80,13 @@ pub fn problem(table: &str) -> Problem {
     Problem { array, declared: Vec::new(), tolerances, events }
 }
 
+/// The same, its last event being one to judge by.
+pub fn judged(table: &str) -> Problem {
+    let mut problem = problem(table);
+    problem.events[10..].iter_mut().for_each(|e| e.split = Split::Validation);
+    problem
+}
+
 fn sample(stream: &mut impl rand::Rng) -> f64 {
     StandardNormal.sample(stream)
 }

@@ -65,7 +65,7 @@ pub struct Responses {
 pub struct InputSensor {
     pub(super) source: usize,
     pub(super) probes: [Operator; 3],
-    /// Σ of what it adds in the first record, m/s².
+    /// Σ of the magnitude of what it adds in the first record, m/s².
     pub(super) added: f64,
 }
 

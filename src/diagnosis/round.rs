@@ -7,7 +7,7 @@ use super::responses::Scene;
 use super::screen::{Pass, Screened, screen};
 use super::search::{Model, Search};
 use super::unknowns::TOLERATED;
-use crate::effects::{self, Instance};
+use crate::effects::Instance;
 use crate::error::Result;
 use crate::progress::Progress;
 use rayon::prelude::*;
@@ -122,7 +122,7 @@ impl Search<'_> {
             let model = search.settle(&effects, &start.x, anchor, Some(near), steps).ok()?;
             // Replays around the plain nuisances tell costs as they are.
             let near = if search.scene.neighbours.is_some() { &base } else { near };
-            let against = [near.train.cost, near.validation_cost()];
+            let against = near.costs();
             let plain = start.plain;
             Some(Fitted { instance, model, gain: 0.0, validation_gain: 0.0, is_confirmed: false, against, plain })
         };
@@ -130,7 +130,7 @@ impl Search<'_> {
             starts.par_iter().filter_map(fit).collect::<Vec<_>>().into_iter().partition(|f| f.plain.is_some());
         self.restart(&mut base, &fitted, anchor)?;
         for f in &mut fitted {
-            f.against = [base.train.cost, base.validation_cost()];
+            f.against = base.costs();
         }
         let near_base = fitted.clone();
         fitted.extend(from_plain);
@@ -212,9 +212,8 @@ impl Search<'_> {
             x.push(own);
             return Ok(((own - zero[0]).abs() > step).then_some(x));
         }
-        let mut built = effects::build_all(&self.scene.problem.declared)?;
-        built.push(effects::build(&instance.at(&[zero[0] + step]))?);
-        let shift: Vec<f64> = self.scene.velocity_shift(&built).iter().map(|s| s / step).collect();
+        let shift = self.scene.velocity_shift_with(&instance.at(&[zero[0] + step]))?;
+        let shift: Vec<f64> = shift.iter().map(|s| s / step).collect();
         let dot = |a: &[f64], b: &[f64]| -> f64 { a.iter().zip(b).map(|(a, b)| a * b).sum() };
         let square = dot(&shift, &shift);
         let amount = if square > 0.0 { dot(from, &shift) / square } else { 0.0 };

@@ -61,6 +61,11 @@ impl Model {
         self.unforeseen
     }
 
+    /// Cost with priors on training events, and that of the validation events.
+    pub fn costs(&self) -> [f64; 2] {
+        [self.train.cost, self.validation_cost()]
+    }
+
     /// Cost with priors on training events plus that of the validation events.
     pub fn cost(&self) -> f64 {
         self.train.cost + self.validation_cost()

@@ -32,14 +32,8 @@ mod tests {
     #[test]
     fn a_seam_counts_by_its_compliance() {
         let layer = |thickness_m: f64, vs_m_s: f64| Layer::plain("elastic", thickness_m, 2000.0, vs_m_s);
-        let profile = Profile {
-            layers: vec![layer(0.75, 100.0), layer(0.25, 50.0), layer(2.0, 300.0)],
-            water_table_m: 0.0,
-            vertical: Default::default(),
-            rayleigh: Default::default(),
-            elements: 3,
-            features: Default::default(),
-        };
+        let layers = vec![layer(0.75, 100.0), layer(0.25, 50.0), layer(2.0, 300.0)];
+        let profile = Profile::plain(layers);
         let slow = 0.75 / 100.0f64.powi(2) + 0.25 / 50.0f64.powi(2);
         assert!((ln_velocity(&profile, [0.0, 1.0]) - (1.0 / slow.sqrt()).ln()).abs() < 1e-12);
         assert_eq!((velocity(&profile, 0.9), velocity(&profile, 9.0)), (50.0, 300.0));
