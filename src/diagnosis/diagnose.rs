@@ -32,6 +32,10 @@ const WORTHWHILE: f64 = 0.7;
 const DETAIL: f64 = 0.01;
 /// Most replays of a model without one of its effects.
 const REPLAYS: usize = 6;
+/// Most looks around a model with its effects: the replays around a place say less of the next, and a valley is walked in steps.
+const POLISHES: usize = 3;
+/// Share of the excess over noise that a look must leave at most for another to follow.
+const PAYS: f64 = 0.9;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -133,10 +137,17 @@ fn diagnose_rest(
         if !is_found {
             break;
         }
-        let corrected = &path.corrected;
-        let anchor = scene.look_around(replay, settings, (&corrected.effects, corrected.x()), progress)?;
         let kept = path.accepted.len();
-        Search::new(&scene, settings, Some(replay))?.polish(&mut path, anchor, thresholds, progress)?;
+        for _ in 0..POLISHES {
+            let before = path.corrected.clone();
+            let anchor = scene.look_around(replay, settings, (&before.effects, before.x()), progress)?;
+            Search::new(&scene, settings, Some(replay))?.polish(&mut path, anchor, progress)?;
+            progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), path.corrected.cost()));
+            if path.corrected.is_clean() || path.corrected.excess() > PAYS * before.excess() {
+                break;
+            }
+        }
+        Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
         if path.accepted.len() == kept {
             let here = (path.corrected.clone(), path.anchor.clone());
             (path.corrected, path.anchor) = scene.moved((here, path.rival.take()), replay, settings, progress)?;
@@ -203,15 +214,14 @@ impl Search<'_> {
         Ok(true)
     }
 
-    /// Fits the corrected model once more with the replays around it, from its `anchor` there, and takes out what that makes
-    /// needless.
+    /// Fits the corrected model once more with the replays around it, from its `anchor` there.
     ///
     /// # Errors
     /// When a replay is impossible.
-    fn polish(&self, path: &mut Path, anchor: Anchor, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
+    fn polish(&self, path: &mut Path, anchor: Anchor, progress: &dyn Progress) -> Result<()> {
         let (effects, x) = (path.corrected.effects.clone(), path.corrected.x().to_vec());
         (path.corrected, path.anchor) = self.settled(&effects, &x, (anchor, MAX_ANCHORS), progress)?;
-        self.drop_needless(path, thresholds, progress)
+        Ok(())
     }
 
     /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be

@@ -1,6 +1,7 @@
 //! Joint estimates of nuisances and effects: bounded Levenberg–Marquardt on whitened residuals and priors.
 
 use super::anchor::Anchor;
+use super::bounded::{bounded_step, damped};
 use super::cost::{changes, whitened};
 use super::followed::scaled;
 use super::responses::{Responses, Scene};
@@ -131,13 +132,25 @@ impl Fitter<'_> {
     /// μ, the `hold`, keeps the fit near its start x₀, in prior standard deviations, where a replay has not confirmed a longer
     /// step: Levenberg–Marquardt with replays for its trial points.
     ///
+    /// What would leave its bounds stops there, and the others make the best of it. Of a nuisance and an effect that are the same
+    /// thing, the effect moves: it takes what the nuisance had.
+    ///
     /// # Errors
     /// When the start cannot be evaluated.
     pub fn fit(&self, unknowns: &Unknowns<'_>, start: Point, steps: usize, hold: f64) -> Result<Point> {
         let all: Vec<usize> = (0..unknowns.len()).collect();
         let weights = unknowns.deviations().into_iter().map(|d| hold / (d * d)).collect();
-        let leash = Leash { from: start.x.clone(), weights };
         let mut point = start;
+        let mut x = point.x.clone();
+        unknowns.gather(&mut x);
+        if steps > 0 && x != point.x {
+            point = self.at(unknowns, &x, Some(&point.responses))?;
+        }
+        let leash = Leash { from: point.x.clone(), weights };
+        let mut bounds = unknowns.bounds();
+        for [nuisance, _] in unknowns.twice() {
+            bounds[nuisance] = [point.x[nuisance]; 2];
+        }
         let mut lambda = 1e-3;
         for _ in 0..steps {
             let jacobian = self.jacobian(unknowns, &point, &all);
@@ -149,7 +162,7 @@ impl Fitter<'_> {
             }
             let mut best: Option<Point> = None;
             for _ in 0..6 {
-                let Some(step) = damped_step(&normal, &gradient, lambda) else { break };
+                let Some(step) = bounded_step(damped(&normal, lambda), &gradient, &point.x, &bounds) else { break };
                 let mut x: Vec<f64> = point.x.iter().zip(&step).map(|(x, d)| x + d).collect();
                 unknowns.clip(&mut x);
                 let trial = self.at(unknowns, &x, Some(&point.responses));
@@ -257,14 +270,6 @@ pub(super) fn gram(a: &Mat<f64>, b: &Mat<f64>) -> Mat<f64> {
 /// Aᵀr.
 pub(super) fn project(a: &Mat<f64>, r: &[f64]) -> Vec<f64> {
     (0..a.ncols()).map(|j| a.col(j).iter().zip(r).map(|(a, r)| a * r).sum()).collect()
-}
-
-fn damped_step(normal: &Mat<f64>, gradient: &[f64], lambda: f64) -> Option<Vec<f64>> {
-    let mut damped = normal.clone();
-    for i in 0..damped.nrows() {
-        damped[(i, i)] *= 1.0 + lambda;
-    }
-    solved(&damped, gradient)
 }
 
 /// x of A x = b for a positive definite A.

@@ -13,6 +13,7 @@
 
 mod anchor;
 mod axes;
+mod bounded;
 mod centre;
 mod coherence;
 mod comparison;

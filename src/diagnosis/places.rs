@@ -14,12 +14,14 @@ use crate::progress::{Progress, Quiet};
 const MAX_MOVES: usize = 3;
 /// Places tried on either side.
 const REACH: usize = 2;
-/// Strengths tried there, as shares of the strength found here.
+/// Strengths tried there, as shares of the strength found here; tolerances of velocities make up for the difference.
 const STRENGTHS: [f64; 3] = [0.75, 1.0, 1.33];
 /// Steps of a fit there.
 const STEPS: usize = 4;
 /// Most replays there.
 const REPLAYS: usize = 6;
+/// Prior cost of nuisances by which a model is plainer than another.
+const PLAINER: f64 = 5.0;
 /// Share of the excess over noise that another place must take away.
 const WORTHWHILE: f64 = 0.1;
 
@@ -48,7 +50,7 @@ impl Scene<'_> {
             let around = there.look_around(replay, settings, (&effects, &x), progress)?;
             let found =
                 Search::new(&there, settings, Some(replay))?.settled(&effects, &x, (around, MAX_ANCHORS), progress)?;
-            if found.0.cost() < model.cost() - worthwhile(&model, settings) {
+            if found.0.cost() < model.cost() - worthwhile(&model, settings) || is_plainer(&found.0, &model) {
                 ((model, anchor), *self) = (found, there);
             } else if !is_rival {
                 break;
@@ -63,6 +65,12 @@ fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
     settings.ambiguity.max(WORTHWHILE * model.excess())
 }
 
+/// Whether neither leaves more than noise, and the nuisances of `one` are clearly closer to what is declared. Costs of such models
+/// differ by what replays are worth.
+fn is_plainer(one: &Model, other: &Model) -> bool {
+    one.is_clean() && other.is_clean() && one.prior() < other.prior() - PLAINER
+}
+
 /// The last effect of a model at another place, and where fits there start.
 struct Place {
     effects: Vec<Instance>,
@@ -70,11 +78,13 @@ struct Place {
 }
 
 impl Search<'_> {
-    /// The places next to that of the last effect of `model`.
+    /// The places next to that of the last effect of `model`, and its own.
     fn places(&self, model: &Model) -> Result<Vec<Place>> {
         let Some((last, others)) = model.effects.split_last() else { return Ok(Vec::new()) };
-        let alike: Vec<&Instance> =
-            self.instances.iter().filter(|i| i.kind == last.kind && i.free.len() == last.free.len()).collect();
+        // The value of one parameter says nothing of another's.
+        let names = |i: &Instance| i.free.iter().map(|f| f.parameter.name).collect::<Vec<_>>();
+        let is_alike = |i: &&Instance| i.kind == last.kind && names(i) == names(last);
+        let alike: Vec<&Instance> = self.instances.iter().filter(is_alike).collect();
         let (Some(here), Some(zero)) = (alike.iter().position(|i| *i == last), last.zero()) else {
             return Ok(Vec::new());
         };
@@ -82,17 +92,23 @@ impl Search<'_> {
         let strength = model.x().len() - last.free.len();
         let mut places = Vec::new();
         for place in &alike[here.saturating_sub(REACH)..(here + REACH + 1).min(alike.len())] {
-            if model.effects.contains(place) {
+            if others.contains(place) {
                 continue;
             }
-            let scaled = STRENGTHS.iter().map(|share| {
-                let mut x = model.x().to_vec();
-                x[strength] = zero[0] + share * (x[strength] - zero[0]);
-                x
+            let scaled = STRENGTHS.iter().map(|share| -> Result<Vec<f64>> {
+                let mut own = model.x()[strength..].to_vec();
+                own[0] = zero[0] + share * (own[0] - zero[0]);
+                own.iter_mut().zip(place.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
+                let shift = self.scene.velocity_shift_with(&place.at(&own))?;
+                let mut x = released.clone();
+                x.iter_mut().zip(shift).for_each(|(x, shift)| *x -= shift);
+                x.extend(own);
+                Ok(x)
             });
             let effects = [others, &[(*place).clone()]].concat();
             let unknowns = self.unknowns(&effects);
-            let mut starts: Vec<Vec<f64>> = scaled.chain(self.instead(others, &released, place)?).collect();
+            let mut starts: Vec<Vec<f64>> = scaled.collect::<Result<_>>()?;
+            starts.extend(self.instead(others, &released, place)?);
             starts.iter_mut().for_each(|x| unknowns.clip(x));
             places.push(Place { effects, starts });
         }

@@ -2,7 +2,7 @@
 
 use super::fit::{Fitter, Point, difference, gram, project};
 use super::line;
-use super::unknowns::Unknowns;
+use super::unknowns::{MAX_DEVIATIONS, Unknowns};
 use crate::effects::Instance;
 use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
@@ -17,14 +17,18 @@ const GRID: [f64; 4] = [0.4, 1.0, 2.0, 4.0];
 /// c(r) = min over δ of |r + J δ|² + |n + δ|² = |r|² + |n|² − bᵀ M b,   b = Jᵀ r + n,   M = (I + JᵀJ)⁻¹      (1)
 /// ```
 ///
+/// Nuisances at an end of their range, from which J drives them outward, stay there.
+///
 /// Limits: J is that of the point without the effect.
 /// Check:  `marginal_costs_are_those_of_the_explicit_minimum`.
 /// Source: Woodbury's identity; Pintelon and Schoukens (2012) for the cost.
 pub struct Marginal {
     jacobian: Mat<f64>,
     factor: Option<Llt<f64>>,
-    /// Nuisances of the point.
+    /// Nuisances of the point that are free to follow.
     nuisances: Vec<f64>,
+    /// Σ n² of the others.
+    held: f64,
 }
 
 impl Marginal {
@@ -32,19 +36,28 @@ impl Marginal {
     pub fn new(fitter: &Fitter<'_>, unknowns: &Unknowns<'_>, point: &Point) -> Self {
         let count = unknowns.nuisances.len();
         let which: Vec<usize> = (0..count).collect();
-        Self::of(fitter.jacobian(unknowns, point, &which), point.x[..count].to_vec())
+        Self::of(&fitter.jacobian(unknowns, point, &which), &point.x[..count], &point.residual)
     }
 
-    fn of(jacobian: Mat<f64>, nuisances: Vec<f64>) -> Self {
-        let normal = gram(&jacobian, &jacobian) + Mat::<f64>::identity(jacobian.ncols(), jacobian.ncols());
-        Self { factor: normal.llt(Side::Lower).ok(), jacobian, nuisances }
+    fn of(jacobian: &Mat<f64>, nuisances: &[f64], residual: &[f64]) -> Self {
+        let slopes = project(jacobian, residual);
+        let is_held = |i: &usize| {
+            let (n, slope) = (nuisances[*i], slopes[*i] + nuisances[*i]);
+            n.abs() >= MAX_DEVIATIONS && n * slope < 0.0
+        };
+        let (held, free): (Vec<usize>, Vec<usize>) = (0..nuisances.len()).partition(is_held);
+        let jacobian = Mat::from_fn(jacobian.nrows(), free.len(), |i, j| jacobian[(i, free[j])]);
+        let normal = gram(&jacobian, &jacobian) + Mat::<f64>::identity(free.len(), free.len());
+        let of = |which: &[usize]| which.iter().map(|i| nuisances[*i]).collect::<Vec<f64>>();
+        let held = of(&held).iter().map(|n| n * n).sum();
+        Self { factor: normal.llt(Side::Lower).ok(), jacobian, nuisances: of(&free), held }
     }
 
     /// (1).
     pub fn cost(&self, residual: &[f64]) -> f64 {
         let mut b = project(&self.jacobian, residual);
         b.iter_mut().zip(&self.nuisances).for_each(|(b, n)| *b += n);
-        let own: f64 = residual.iter().map(|r| r * r).sum::<f64>() + self.nuisances.iter().map(|n| n * n).sum::<f64>();
+        let own = dot(residual, residual) + dot(&self.nuisances, &self.nuisances) + self.held;
         own - dot(&b, &self.solved(&b))
     }
 
@@ -247,8 +260,8 @@ mod tests {
     fn marginal_costs_are_those_of_the_explicit_minimum() {
         let jacobian = Mat::from_fn(5, 2, |i, j| ((i + 1) as f64 * (j as f64 + 0.7)).sin());
         let nuisances = vec![0.4, -1.1];
-        let marginal = Marginal::of(jacobian.clone(), nuisances.clone());
         let r = [0.3, -0.9, 1.4, 0.2, -0.5];
+        let marginal = Marginal::of(&jacobian, &nuisances, &r);
         let explicit = |d: [f64; 2]| -> f64 {
             let fit: f64 = (0..5).map(|i| (r[i] + jacobian[(i, 0)] * d[0] + jacobian[(i, 1)] * d[1]).powi(2)).sum();
             fit + (nuisances[0] + d[0]).powi(2) + (nuisances[1] + d[1]).powi(2)
@@ -270,5 +283,17 @@ mod tests {
         };
         assert!(moved(step[0]) < moved(step[0] + 0.01) && moved(step[0]) < moved(step[0] - 0.01));
         assert!(moved(step[0]) < cost);
+    }
+
+    #[test]
+    fn a_nuisance_that_would_leave_its_range_does_not_take_what_an_effect_explains() {
+        let jacobian = Mat::from_fn(4, 2, |i, j| if i == j { 50.0 } else { 0.0 });
+        let r = [30.0, 1.0, 0.2, -0.1];
+        let same = Mat::from_fn(4, 1, |i, _| if i == 0 { 5.0 } else { 0.0 });
+        let strength = |n: f64| Marginal::of(&jacobian, &[n, 0.0], &r).score(&r, &same).unwrap().0[0];
+        assert!((strength(-MAX_DEVIATIONS) + 6.0).abs() < 1e-6);
+        // A nuisance that is free to follow does.
+        let free = Marginal::of(&jacobian, &[MAX_DEVIATIONS, 0.0], &r);
+        assert!(free.cost(&r) < 12.0 && Marginal::of(&jacobian, &[-MAX_DEVIATIONS, 0.0], &r).cost(&r) > 900.0);
     }
 }

@@ -71,6 +71,11 @@ impl Model {
         self.train.cost + self.validation_cost()
     }
 
+    /// What the distance of the nuisances from what is declared costs.
+    pub fn prior(&self) -> f64 {
+        self.train.cost - square(&self.train.residual)
+    }
+
     /// Cost over the cost of noise alone.
     pub fn level(&self) -> f64 {
         (square(&self.train.residual) + self.validation_cost()) / (self.expected[0] + self.expected[1])

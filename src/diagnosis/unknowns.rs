@@ -255,15 +255,38 @@ impl Unknowns<'_> {
         Ok(effects)
     }
 
-    /// Moves `x` into the bounds: [`MAX_DEVIATIONS`] for a nuisance, its own for an effect.
+    /// Smallest and largest value of each: [`MAX_DEVIATIONS`] for a nuisance, its own for an effect.
+    pub fn bounds(&self) -> Vec<[f64; 2]> {
+        let nuisances = self.nuisances.iter().map(|_| [-MAX_DEVIATIONS, MAX_DEVIATIONS]);
+        nuisances.chain(self.effects.iter().flat_map(Instance::bounds)).collect()
+    }
+
+    /// Moves `x` into the bounds.
     pub fn clip(&self, x: &mut [f64]) {
-        let (nuisances, rest) = x.split_at_mut(self.nuisances.len());
-        for x in nuisances {
-            *x = x.clamp(-MAX_DEVIATIONS, MAX_DEVIATIONS);
-        }
-        let bounds = self.effects.iter().flat_map(Instance::bounds);
-        for (x, [low, high]) in rest.iter_mut().zip(bounds) {
-            *x = x.clamp(low, high);
+        x.iter_mut().zip(self.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
+    }
+
+    /// Nuisances that are the same thing as an effect, with the index of that: no motion tells the two apart, and the effect has
+    /// no prior that would hold it.
+    pub fn twice(&self) -> Vec<[usize; 2]> {
+        let mut at = self.nuisances.len();
+        let same = |effect: &Instance| {
+            let own = at;
+            at += effect.free.len();
+            let is_same = |n: &Nuisance| effect.free.len() == 1 && n.instance.is_same(effect);
+            Some([self.nuisances.iter().position(is_same)?, own])
+        };
+        self.effects.iter().filter_map(same).collect()
+    }
+
+    /// Leaves to the effects what nuisances share with them: the same motions.
+    pub fn gather(&self, x: &mut [f64]) {
+        let bounds = self.bounds();
+        for [nuisance, effect] in self.twice() {
+            let deviation = self.nuisances[nuisance].deviation;
+            let own = (x[effect] + deviation * x[nuisance]).clamp(bounds[effect][0], bounds[effect][1]);
+            x[nuisance] -= (own - x[effect]) / deviation;
+            x[effect] = own;
         }
     }
 
@@ -302,6 +325,10 @@ mod tests {
         assert!((placed[0] - (0.5 - 0.6 / 0.15)).abs() < 1e-12 && placed[1..] == [-1.0, 0.0]);
         assert_eq!((followed.build(&[], &x).unwrap().len(), followed.tables(&x).len()), (0, 3));
         let alone = Unknowns { axes: None, ..followed.clone() };
+        let mut gathered = x.to_vec();
+        followed.gather(&mut gathered);
+        assert!(gathered[0].abs() < 1e-12 && gathered[1] == -1.0 && (gathered[2] - (0.5 * 0.15 - 0.6)).abs() < 1e-12);
+        assert!((followed.placed(&gathered).x[0] - placed[0]).abs() < 1e-12);
         assert_eq!((alone.placed(&x).x, alone.build(&[], &x).unwrap().len()), (x.to_vec(), 3));
     }
 }

@@ -66,20 +66,23 @@ impl Stage for Correct {
 }
 
 /// The `[[effects]]` that a diagnosis adds. Where structure remains that has no name, only those effects are trusted that
-/// hold whatever the profile; without any there is nothing to correct. Values are
-/// recalibrated before effects are added, as they were when they were fitted: a damping multiplier scales what is declared.
+/// hold whatever the profile; without any there is nothing to correct.
+///
+/// They come in the order in which they were fitted: what stands, then recalibrated values, then what was found on top of them. A
+/// damping multiplier scales what is declared, and a turn before a reflection is not the same turn after it.
 pub fn correction(diagnosis: &Diagnosis) -> Vec<Table> {
-    let (named, nuisances) = match diagnosis.verdict {
-        Verdict::Known | Verdict::Ambiguous => (diagnosis.effects.iter().collect(), &diagnosis.corrected_nuisances),
-        Verdict::None | Verdict::Unknown => {
-            let standing: Vec<&Found> = diagnosis.effects.iter().filter(|e| e.is_standing).collect();
-            (standing, &diagnosis.nuisances)
-        }
+    let (standing, found): (Vec<&Found>, Vec<&Found>) = diagnosis.effects.iter().partition(|e| e.is_standing);
+    let (found, nuisances) = match diagnosis.verdict {
+        Verdict::Known | Verdict::Ambiguous => (found, &diagnosis.corrected_nuisances),
+        // Nothing was fitted beside what stands but these.
+        Verdict::None | Verdict::Unknown if found.is_empty() => (found, &diagnosis.corrected_nuisances),
+        Verdict::None | Verdict::Unknown => (Vec::new(), &diagnosis.nuisances),
     };
-    if named.is_empty() {
+    if standing.is_empty() && found.is_empty() {
         return Vec::new();
     }
-    nuisances.iter().chain(named.into_iter().map(|e| &e.table)).cloned().collect()
+    let tables = |named: Vec<&Found>| named.into_iter().map(|e| e.table.clone()).collect::<Vec<_>>();
+    [tables(standing), nuisances.clone(), tables(found)].concat()
 }
 
 /// Writes the section `effects`: those of the manifest, then those `added`.
@@ -92,4 +95,40 @@ fn write(task: &Task<'_>, added: &[Table]) -> Result<()> {
     }
     let path = task.output_dir().join(FILE);
     fs::write(&path, manifest.to_string()).context(|| format!("cannot write `{}`", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn diagnosis(verdict: &str, effects: &[(&str, bool)]) -> Diagnosis {
+        let found = |(kind, is_standing): &(&str, bool)| {
+            json!({ "kind": kind, "target": "", "class": "sensor", "table": { "kind": kind }, "parameters": {},
+                "gain": 1.0, "validation_gain": 1.0, "is_standing": is_standing })
+        };
+        let none = json!({ "train": 0.0, "validation": 0.0 });
+        serde_json::from_value(json!({
+            "verdict": verdict, "effects": effects.iter().map(found).collect::<Vec<_>>(), "ambiguity": [],
+            "nuisances": [{ "kind": "alone" }], "corrected_nuisances": [{ "kind": "beside" }], "candidates": [],
+            "explained_share": null, "input_coherent_share": null, "declared": none, "recalibrated": none,
+            "corrected": none, "tolerance_alarms": [], "upper_bounds": [], "notes": [],
+            "remainder": { "edges_hz": [], "sensor_band": {}, "event": [] },
+        }))
+        .expect("a diagnosis")
+    }
+
+    #[test]
+    fn a_correction_comes_in_the_order_in_which_it_was_fitted() {
+        let kinds = |verdict: &str, effects: &[(&str, bool)]| -> Vec<String> {
+            let tables = correction(&diagnosis(verdict, effects));
+            tables.iter().filter_map(|t| Some(t.get("kind")?.as_str()?.to_string())).collect()
+        };
+        let both = [("found", false), ("standing", true)];
+        assert_eq!(kinds("known", &both), ["standing", "beside", "found"]);
+        assert_eq!(kinds("unknown", &both), ["standing", "alone"]);
+        assert_eq!(kinds("unknown", &both[1..]), ["standing", "beside"]);
+        assert_eq!(kinds("known", &both[..1]), ["beside", "found"]);
+        assert!(kinds("unknown", &both[..1]).is_empty() && kinds("none", &[]).is_empty());
+    }
 }

@@ -131,12 +131,25 @@ fn refined(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnS
     sections
 }
 
-/// `sections` with no more elements than waves of the diagnosis' band need, and the steps of the manifest.
+/// `sections` with no more elements than waves of the diagnosis' band need, or half as many again where they then end at every
+/// layer and sensor, and the steps of the manifest. Where they do not, an effect that cuts a layer also moves the others' elements,
+/// and its derivative is that of the mesh too.
 fn roughened(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
     let site = &mut sections.site;
     let slowest_m_s = site.layer.iter().map(|l| l.vs_m_s).fold(f64::INFINITY, f64::min);
     let needed = (site.depth_m * PER_WAVE * settings.band_hz[1] / slowest_m_s).ceil() as usize;
-    site.elements = site.elements.min(needed.max(2 * site.layer.len()));
+    let needed = needed.max(2 * site.layer.len());
+    let mut depths_m: Vec<f64> = sections.sensors.output.iter().map(|s| s.depth_m).collect();
+    depths_m.extend(site.layer.iter().scan(0.0, |depth_m, l| {
+        *depth_m += l.thickness_m;
+        Some(*depth_m)
+    }));
+    let ends_at_all = |n: &usize| {
+        let elements = depths_m.iter().map(|depth_m| depth_m / site.depth_m * *n as f64);
+        elements.into_iter().all(|above| (above - above.round()).abs() < 1e-6)
+    };
+    let count = (needed..=needed + needed / 2).find(ends_at_all).unwrap_or(needed);
+    site.elements = site.elements.min(count);
     sections
 }
 
@@ -246,6 +259,7 @@ mod tests {
         };
         // 17 m and 20 elements to 110 m/s over 9.5 Hz are 30, but two to each of 17 layers.
         assert_eq!(of("lotung.toml"), [200, 34]);
-        assert_eq!(of("smoke.toml"), [20, 15]);
+        // 10 m to 130 m/s are 15, but a sensor is at 5 m and a layer ends at 4 m.
+        assert_eq!(of("smoke.toml"), [20, 20]);
     }
 }
