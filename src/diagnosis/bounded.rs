@@ -12,8 +12,8 @@ pub(super) fn damped(normal: &Mat<f64>, lambda: f64) -> Mat<f64> {
     damped
 }
 
-/// The step d from `x` with A d = b, which stays within the `bounds`: what would leave them first stops there, the others do what is best
-/// with it there, and so on.
+/// The step d from `x` with A d = b, which stays within the `bounds`: what would leave them first stops there, the others do what
+/// is best with it there, and so on.
 pub(super) fn bounded_step(a: Mat<f64>, b: &[f64], x: &[f64], bounds: &[[f64; 2]]) -> Option<Vec<f64>> {
     let mut stopped: Vec<Option<f64>> = vec![None; x.len()];
     loop {

@@ -141,7 +141,9 @@ fn diagnose_rest(
         for _ in 0..POLISHES {
             let before = path.corrected.clone();
             let anchor = scene.look_around(replay, settings, (&before.effects, before.x()), progress)?;
-            Search::new(&scene, settings, Some(replay))?.polish(&mut path, anchor, progress)?;
+            let search = Search::new(&scene, settings, Some(replay))?;
+            (path.corrected, path.anchor) =
+                search.settled(&before.effects, before.x(), (anchor, MAX_ANCHORS), progress)?;
             progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), path.corrected.cost()));
             if path.corrected.is_clean() || path.corrected.excess() > PAYS * before.excess() {
                 break;
@@ -212,16 +214,6 @@ impl Search<'_> {
             path.anchor = confirmed;
         }
         Ok(true)
-    }
-
-    /// Fits the corrected model once more with the replays around it, from its `anchor` there.
-    ///
-    /// # Errors
-    /// When a replay is impossible.
-    fn polish(&self, path: &mut Path, anchor: Anchor, progress: &dyn Progress) -> Result<()> {
-        let (effects, x) = (path.corrected.effects.clone(), path.corrected.x().to_vec());
-        (path.corrected, path.anchor) = self.settled(&effects, &x, (anchor, MAX_ANCHORS), progress)?;
-        Ok(())
     }
 
     /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be

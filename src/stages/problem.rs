@@ -144,10 +144,11 @@ fn roughened(mut sections: ColumnSections, settings: &DiagnoseSettings) -> Colum
         *depth_m += l.thickness_m;
         Some(*depth_m)
     }));
-    let ends_at_all = |n: &usize| {
-        let elements = depths_m.iter().map(|depth_m| depth_m / site.depth_m * *n as f64);
-        elements.into_iter().all(|above| (above - above.round()).abs() < 1e-6)
+    let ends_at = |depth_m: &f64, n: usize| {
+        let above = depth_m / site.depth_m * n as f64;
+        (above - above.round()).abs() < 1e-6
     };
+    let ends_at_all = |n: &usize| depths_m.iter().all(|depth_m| ends_at(depth_m, *n));
     let count = (needed..=needed + needed / 2).find(ends_at_all).unwrap_or(needed);
     site.elements = site.elements.min(count);
     sections
