@@ -5,6 +5,7 @@ use super::centre::centre;
 use super::hygiene::suspicion;
 use super::outcome::{Candidate, Diagnosis, Thresholds, Verdict};
 use super::problem::{Problem, Replay};
+use super::relaxed::STIFFNESS;
 use super::responses::Scene;
 use super::round::{Fitted, Ground, Plain, parameters};
 use super::search::{CLEAN, Model, Search};
@@ -36,6 +37,9 @@ const REPLAYS: usize = 6;
 const POLISHES: usize = 3;
 /// Share of the excess over noise that a look must leave at most for another to follow.
 const PAYS: f64 = 0.9;
+/// Standard deviations by which tolerances are farther from what is declared than chance puts them where something else is to be
+/// looked for.
+const STRAINED: f64 = 3.0;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -132,6 +136,9 @@ fn diagnose_rest(
     let rounds = if path.recalibrated.excess() > 0.0 { settings.max_effects } else { 0 };
     for number in 1..=rounds {
         let ground = (number, around_plain.take());
+        if path.is_strained() {
+            path.stiffen(&mut scene, (STIFFNESS, settings), replay)?;
+        }
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
         progress.advance(1);
         if !is_found {
@@ -156,11 +163,15 @@ fn diagnose_rest(
             let last = path.corrected.effects.last().zip(path.accepted.last_mut());
             last.into_iter().for_each(|(place, accepted)| accepted.instance = place.clone());
         }
-        let is_left = path.corrected.surprise().into_iter().any(|s| s > thresholds.excess);
+        path.stiffen(&mut scene, (1.0, settings), replay)?;
+        let here = (path.corrected.clone(), path.anchor.clone());
+        (path.corrected, path.anchor) = scene.relaxed(here, replay, settings, progress)?;
+        let is_left = path.is_strained() || path.corrected.surprise().into_iter().any(|s| s > thresholds.excess);
         if !is_left || path.accepted.len() < kept {
             break;
         }
     }
+    path.stiffen(&mut scene, (1.0, settings), replay)?;
     verdict::assemble(&Search::new(&scene, settings, Some(replay))?, &path, thresholds)
 }
 
@@ -203,8 +214,13 @@ impl Search<'_> {
     ) -> Result<bool> {
         let fitted = self.fair_round(path, (number, around_plain), progress)?;
         let detail = DETAIL * path.accepted.iter().map(|f| f.gain).fold(0.0, f64::max);
-        let least = thresholds.gain.max(detail);
-        let is_alarm = |f: &&Fitted| f.is_confirmed && f.gain > least && f.validation_gain > thresholds.validation_gain;
+        // Where records are described to within noise, no detail of what was found is left for anything to describe.
+        let [least, on_validation] = if self.is_strained() {
+            [thresholds.gain, f64::NEG_INFINITY]
+        } else {
+            [thresholds.gain.max(detail), thresholds.validation_gain]
+        };
+        let is_alarm = |f: &&Fitted| f.is_confirmed && f.gain > least && f.validation_gain > on_validation;
         let Some(best) = fitted.first().filter(is_alarm) else { return Ok(false) };
         path.corrected = best.model.clone();
         let alike = fitted[1..].iter().find(|f| f.is_confirmed && f.instance.kind == best.instance.kind);
@@ -335,9 +351,12 @@ impl Search<'_> {
                 without = self.replayed_until_settled(start, (None, &anchor), (REPLAYS, at_stake), progress)?;
             }
             let level = path.corrected.level().max(1.0);
-            let gain = (without.0.cost() - path.corrected.cost()) / level - self.charge() * parameters(dropped);
+            let mut gain = (without.0.cost() - path.corrected.cost()) / level - self.charge() * parameters(dropped);
             let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
-            let least = thresholds.gain.max(DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max));
+            let mut least = thresholds.gain.max(DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max));
+            if without.0.is_clean() && path.corrected.is_clean() && self.is_strained() {
+                (gain, least) = (self.plainer(&without.0, &path.corrected, dropped), thresholds.gain);
+            }
             if gain < least {
                 progress.note(&format!("{} {} gains {gain:.0} no more", dropped.kind, dropped.place()));
                 (path.corrected, path.anchor) = without;
@@ -351,6 +370,26 @@ impl Search<'_> {
 }
 
 impl Path {
+    /// Whether nothing but noise is left because tolerances went farther than chance lets them.
+    fn is_strained(&self) -> bool {
+        self.corrected.is_clean() && self.corrected.strain() > STRAINED
+    }
+
+    /// Gives the priors this weight from now on.
+    fn stiffen(
+        &mut self,
+        scene: &mut Scene<'_>,
+        (stiffness, settings): (f64, &DiagnoseSettings),
+        replay: &dyn Replay,
+    ) -> Result<()> {
+        if scene.stiffness != stiffness {
+            scene.stiffness = stiffness;
+            let search = Search::new(scene, settings, Some(replay))?;
+            self.corrected = search.settle(&self.corrected.effects, self.corrected.x(), &self.anchor, None, 0)?;
+        }
+        Ok(())
+    }
+
     fn note(&mut self, fitted: &[Fitted], round: usize) {
         let excess = self.recalibrated.excess().max(1.0);
         self.candidates.extend(fitted.iter().map(|f| {

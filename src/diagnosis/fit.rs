@@ -56,6 +56,8 @@ pub struct Fitter<'a> {
     pub anchor: &'a Anchor,
     /// Groups that count.
     pub groups: &'a [usize],
+    /// Weight of the prior of each nuisance.
+    pub stiffness: &'a [f64],
 }
 
 impl Fitter<'_> {
@@ -68,7 +70,7 @@ impl Fitter<'_> {
         let responses = self.scene.responses(&effects, self.groups, near)?;
         let scaled = scaled(self.scene, unknowns, x)?;
         let residual = whitened(self.scene, &effects, &responses, (self.anchor, &scaled), self.groups);
-        let prior: f64 = x[..unknowns.nuisances.len()].iter().map(|n| n * n).sum();
+        let prior: f64 = x.iter().zip(self.stiffness).map(|(n, w)| w * n * n).sum();
         let mut cost = residual.iter().map(|r| r * r).sum::<f64>() + prior;
         if !cost.is_finite() {
             cost = f64::INFINITY;
@@ -155,7 +157,7 @@ impl Fitter<'_> {
         for _ in 0..steps {
             let jacobian = self.jacobian(unknowns, &point, &all);
             let level = point.level();
-            let (mut normal, mut gradient) = normal_equations(unknowns, &jacobian, &point, level);
+            let (mut normal, mut gradient) = normal_equations(self.stiffness, &jacobian, &point, level);
             for (i, weight) in leash.weights.iter().enumerate() {
                 normal[(i, i)] += level * weight;
                 gradient[i] -= level * weight * (point.x[i] - leash.from[i]);
@@ -199,25 +201,62 @@ impl Fitter<'_> {
     pub fn predictive(&self, unknowns: &Unknowns<'_>, point: &Point, (judge, other): (&Self, &Point)) -> f64 {
         let all: Vec<usize> = (0..unknowns.len()).collect();
         let level = point.level();
-        let (own, _) = normal_equations(unknowns, &self.jacobian(unknowns, point, &all), point, level);
+        let (own, _) = normal_equations(self.stiffness, &self.jacobian(unknowns, point, &all), point, level);
         let precision = faer::Scale(1.0 / level) * &own;
         beyond(&precision, &judge.jacobian(unknowns, other, &all), &other.residual)
     }
 
-    /// Posterior standard deviations at `point`, widened where the fit is worse than its noise: `level` times its cost.
+    /// Posterior standard deviations at `point`, widened where the fit is worse than its noise, `level` times its cost, and where
+    /// events disagree by more than noise lets them:
+    ///
+    /// ```text
+    /// σ² = max(diag C, diag C S C),   S = E/(E−1) Σ_e (g_e − ḡ)(g_e − ḡ)ᵀ + λ P,   g_e = J_eᵀ ρ_e        (1)
+    /// ```
+    ///
+    /// What the model has wrong is alike at neighbouring frequencies and differs from event to event: counted as independent noise it
+    /// would promise too much.
+    ///
+    /// Check:  `events_that_disagree_widen_the_interval`.
+    /// Source: Liang and Zeger (1986), doi 10.1093/biomet/73.1.13: the covariance of clustered data.
     pub fn deviations(&self, unknowns: &Unknowns<'_>, point: &Point, level: f64) -> Vec<f64> {
-        let widened = level.max(1.0).sqrt();
+        let level = level.max(1.0);
         let all: Vec<usize> = (0..unknowns.len()).collect();
         let jacobian = self.jacobian(unknowns, point, &all);
-        let (normal, _) = normal_equations(unknowns, &jacobian, point, level.max(1.0));
-        match normal.llt(Side::Lower) {
-            Ok(factor) => {
-                let inverse = factor.solve(Mat::<f64>::identity(normal.nrows(), normal.nrows()));
-                (0..normal.nrows()).map(|i| widened * inverse[(i, i)].max(0.0).sqrt()).collect()
-            }
-            Err(_) => vec![f64::INFINITY; normal.nrows()],
-        }
+        let (normal, _) = normal_equations(self.stiffness, &jacobian, point, level);
+        let Ok(factor) = normal.llt(Side::Lower) else { return vec![f64::INFINITY; normal.nrows()] };
+        let inverse = factor.solve(Mat::<f64>::identity(normal.nrows(), normal.nrows()));
+        let priors: Vec<f64> = self.stiffness.iter().map(|w| level * w).collect();
+        let sizes: Vec<usize> = self.groups.iter().map(|g| self.scene.groups[*g].n_residual()).collect();
+        let clustered = clustered(&inverse, &priors, &scores(&jacobian, &point.residual, &sizes));
+        let variance = |i: usize| (level * inverse[(i, i)]).max(clustered[i]).max(0.0);
+        (0..normal.nrows()).map(|i| variance(i).sqrt()).collect()
     }
+}
+
+/// Jᵀρ of each of the stretches of rows of these `sizes`.
+fn scores(jacobian: &Mat<f64>, residual: &[f64], sizes: &[usize]) -> Vec<Vec<f64>> {
+    let mut at = 0;
+    let score = |size: &usize| {
+        let own = at..at + size;
+        at = own.end;
+        (0..jacobian.ncols()).map(|j| own.clone().map(|i| jacobian[(i, j)] * residual[i]).sum()).collect()
+    };
+    sizes.iter().map(score).collect()
+}
+
+/// diag C S C of (1) of [`Fitter::deviations`]; nothing for a single event.
+fn clustered(inverse: &Mat<f64>, priors: &[f64], scores: &[Vec<f64>]) -> Vec<f64> {
+    let (n, count) = (inverse.nrows(), scores.len() as f64);
+    if scores.len() < 2 {
+        return vec![0.0; n];
+    }
+    let mean: Vec<f64> = (0..n).map(|i| scores.iter().map(|g| g[i]).sum::<f64>() / count).collect();
+    let variance = |i: usize| {
+        let along = |g: &Vec<f64>| (0..n).map(|j| inverse[(i, j)] * (g[j] - mean[j])).sum::<f64>();
+        let of_events = scores.iter().map(|g| along(g).powi(2)).sum::<f64>() * count / (count - 1.0);
+        of_events + priors.iter().enumerate().map(|(j, prior)| inverse[(i, j)].powi(2) * prior).sum::<f64>()
+    };
+    (0..n).map(variance).collect()
 }
 
 /// ρᵀ (I + J C Jᵀ)⁻¹ ρ with C⁻¹ the `precision`: |ρ|² − bᵀ (C⁻¹ + JᵀJ)⁻¹ b, b = Jᵀρ.
@@ -244,17 +283,16 @@ pub(super) fn difference(moved: &Point, point: &Point, step: f64) -> Vec<f64> {
     moved.residual.iter().zip(&point.residual).map(|(a, b)| (a - b) / step).collect()
 }
 
-/// JᵀJ + P and −(Jᵀρ + P x), P the prior precision of the nuisances times `level`.
-fn normal_equations(unknowns: &Unknowns<'_>, jacobian: &Mat<f64>, point: &Point, level: f64) -> (Mat<f64>, Vec<f64>) {
+/// JᵀJ + P and −(Jᵀρ + P x), P the prior precision of the nuisances times their `stiffness` and the `level`.
+fn normal_equations(stiffness: &[f64], jacobian: &Mat<f64>, point: &Point, level: f64) -> (Mat<f64>, Vec<f64>) {
     let mut normal = gram(jacobian, jacobian);
     let mut gradient = project(jacobian, &point.residual);
-    for i in 0..unknowns.len() {
-        if i < unknowns.nuisances.len() {
-            normal[(i, i)] += level;
-            gradient[i] += level * point.x[i];
-        } else {
-            // An effect that has no influence here must not make the matrix singular.
-            normal[(i, i)] += 1e-9;
+    for i in 0..point.x.len() {
+        // An effect that has no influence here must not make the matrix singular.
+        let weight = stiffness.get(i).map_or(1e-9, |w| level * w);
+        normal[(i, i)] += weight;
+        if i < stiffness.len() {
+            gradient[i] += weight * point.x[i];
         }
     }
     (normal, gradient.iter().map(|g| -g).collect())
@@ -357,6 +395,20 @@ mod tests {
         assert!((found - expected).abs() < 1e-12 * square && found < 0.9 * square, "{found} {expected} {square}");
         let firm = faer::Scale(1e9) * &precision;
         assert!((beyond(&firm, &jacobian, &residual) / square - 1.0).abs() < 1e-6, "nothing was left open");
+    }
+
+    #[test]
+    fn events_that_disagree_widen_the_interval() {
+        // One unknown, seen by two events with residuals of their own that the mean takes away.
+        let jacobian = Mat::from_fn(4, 1, |_, _| 1.0);
+        let of = |apart: f64| {
+            let residual = [apart, apart, -apart, -apart];
+            let inverse = Mat::from_fn(1, 1, |_, _| 1.0 / 5.0);
+            clustered(&inverse, &[1.0], &scores(&jacobian, &residual, &[2, 2]))[0]
+        };
+        // (2/1 · 2 · (2 a)² + 1) / 25
+        assert!((of(0.0) - 1.0 / 25.0).abs() < 1e-12 && (of(3.0) - (16.0 * 9.0 + 1.0) / 25.0).abs() < 1e-12);
+        assert_eq!(clustered(&Mat::from_fn(1, 1, |_, _| 1.0), &[0.0], &[vec![2.0]]), [0.0], "one event");
     }
 
     #[test]

@@ -43,6 +43,7 @@ mod places;
 mod power;
 mod problem;
 mod propagated;
+mod relaxed;
 mod repeatable;
 mod responses;
 mod round;

@@ -67,7 +67,7 @@ fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
 
 /// Whether neither leaves more than noise, and the nuisances of `one` are clearly closer to what is declared. Costs of such models
 /// differ by what replays are worth.
-fn is_plainer(one: &Model, other: &Model) -> bool {
+pub(super) fn is_plainer(one: &Model, other: &Model) -> bool {
     one.is_clean() && other.is_clean() && one.prior() < other.prior() - PLAINER
 }
 

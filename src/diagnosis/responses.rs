@@ -49,6 +49,8 @@ pub struct Scene<'a> {
     pub(super) neighbours: Option<Arc<Neighbours>>,
     /// Noise of the outputs beyond that of the sensors; empty without replays.
     pub(super) propagated: Arc<Propagated>,
+    /// Weight of the priors of the nuisances.
+    pub(super) stiffness: f64,
 }
 
 /// Responses of the columns of all records.
@@ -115,6 +117,7 @@ impl<'a> Scene<'a> {
             tuning: Arc::new(tuning),
             neighbours: None,
             propagated: Arc::default(),
+            stiffness: 1.0,
         };
         scene.ground = Arc::new(scene.ground_strains()?);
         Ok(scene)

@@ -282,6 +282,10 @@ impl Search<'_> {
     pub(super) fn judge(&self, fitted: &mut Vec<Fitted>, base: &Model) {
         let level = fitted.iter().map(|f| f.model.level()).fold(base.level(), f64::min).max(1.0);
         for f in fitted.iter_mut() {
+            if self.is_strained() {
+                (f.validation_gain, f.gain) = (0.0, self.plainer(base, &f.model, &f.instance));
+                continue;
+            }
             let fall = (f.against[0] - f.model.train.cost) / level;
             let validation = (f.against[1] - f.model.validation_cost()) / level;
             let charge = self.charge() * parameters(&f.instance);

@@ -33,6 +33,8 @@ pub struct Search<'a> {
     pub train: Vec<usize>,
     /// Groups to judge by.
     pub validation: Vec<usize>,
+    /// Weight of the prior of each nuisance; one but where a model is to be as close to what is declared as noise allows.
+    pub stiffness: Vec<f64>,
 }
 
 /// A model: effects, and their and the nuisances' estimates.
@@ -71,9 +73,21 @@ impl Model {
         self.train.cost + self.validation_cost()
     }
 
-    /// What the distance of the nuisances from what is declared costs.
+    /// Σn² of the nuisances: how far they are from what is declared.
     pub fn prior(&self) -> f64 {
-        self.train.cost - square(&self.train.residual)
+        square(self.nuisances())
+    }
+
+    /// Standard deviations by which the nuisances are farther from what is declared than chance puts them.
+    pub fn strain(&self) -> f64 {
+        let n = self.nuisances().len() as f64;
+        (self.prior() - n) / (2.0 * n).sqrt()
+    }
+
+    /// Nuisances of the estimate, prior standard deviations.
+    fn nuisances(&self) -> &[f64] {
+        let n_effect: usize = self.effects.iter().map(|e| e.free.len()).sum();
+        &self.x()[..self.x().len() - n_effect]
     }
 
     /// Cost over the cost of noise alone.
@@ -124,12 +138,14 @@ impl<'a> Search<'a> {
             );
             return Err(Error::new(what).hint("name events in `records.train` and `records.validation`").usage());
         }
+        let nuisances = nuisances(problem)?;
         Ok(Self {
             scene,
             settings,
             replay,
             instances: effects::instances(&problem.array),
-            nuisances: nuisances(problem)?,
+            stiffness: vec![scene.stiffness; nuisances.len()],
+            nuisances,
             train,
             validation,
         })
@@ -148,7 +164,7 @@ impl<'a> Search<'a> {
 
     /// A fitter on the training events.
     pub fn fitter<'b>(&'b self, anchor: &'b Anchor) -> Fitter<'b> {
-        Fitter { scene: self.scene, anchor, groups: &self.train }
+        Fitter { scene: self.scene, anchor, groups: &self.train, stiffness: &self.stiffness }
     }
 
     /// Fits `effects` from `x` with at most `steps` steps (0: just looks) and judges the result.

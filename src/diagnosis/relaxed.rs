@@ -1,0 +1,187 @@
+//! Of the models that leave no more than noise, the one closest to what is declared.
+
+use super::anchor::Anchor;
+use super::places::is_plainer;
+use super::problem::Replay;
+use super::responses::Scene;
+use super::round::parameters;
+use super::search::{Model, Search};
+use super::settings::DiagnoseSettings;
+use super::settling::MAX_ANCHORS;
+use crate::effects::{self, Instance};
+use crate::error::Result;
+use crate::progress::Progress;
+
+/// Weight of the priors on the way back to what is declared. Noise leaves open what costs a few units; replays of two places that
+/// are as good differ by ten.
+pub(super) const STIFFNESS: f64 = 10.0;
+/// The same of a tolerance that is held at what is declared.
+const HELD: f64 = 1e6;
+/// Prior standard deviations beyond which that is tried.
+const FAR: f64 = 2.0;
+/// What an effect is put back by that leaves more than noise.
+const LEFT: f64 = 50.0;
+/// Steps of the fit there.
+const STEPS: usize = 12;
+
+impl Scene<'_> {
+    /// The `model` with its tolerances as close to what is declared as noise lets its effects make up for them:
+    ///
+    /// ```text
+    /// min |ρ|² + w |n|²,   |ρ|² no more than noise,   w = 10
+    /// ```
+    ///
+    /// and before that the same with each tolerance that is confused with an effect of the model held at what is declared: on the way
+    /// there, derivatives are not good enough to stay in so narrow a valley. Costs of replays differ by more than what a tolerance at
+    /// its end costs, so that fits with w = 1 leave it there. Stays as it is where more than noise is left, or where tolerances are no
+    /// farther than chance puts them. The scene looks around there.
+    ///
+    /// Source: Morozov (1966): the discrepancy principle.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn relaxed(
+        &mut self,
+        (mut model, mut anchor): (Model, Anchor),
+        replay: &dyn Replay,
+        settings: &DiagnoseSettings,
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        if !model.is_clean() || model.strain() <= 0.0 {
+            return Ok((model, anchor));
+        }
+        let shared = Search::new(self, settings, Some(replay))?.shared_with_effects(&model);
+        for held in shared.into_iter().map(Some).chain([None]) {
+            let mut there = self.clone();
+            let mut found = Search::new(&there, settings, Some(replay))?.released(&model, (&anchor, held), progress)?;
+            if held.is_some() {
+                let (effects, x) = (found.0.effects.clone(), found.0.x().to_vec());
+                let around = there.look_around(replay, settings, (&effects, &x), progress)?;
+                let search = Search::new(&there, settings, Some(replay))?;
+                let seen = search.settle(&effects, &x, &around, None, 0)?;
+                found = search.released(&seen, (&around, held), progress)?;
+            }
+            let search = Search::new(&there, settings, Some(replay))?;
+            let what = held.map_or("all".into(), |i| search.nuisances[i].what());
+            let (before, now) = (model.prior(), found.0.prior());
+            progress.note(&format!("relaxed ({what}): tolerances {before:.0} before, {now:.0} now"));
+            if is_plainer(&found.0, &model) {
+                ((model, anchor), *self) = (found, there);
+            }
+        }
+        Ok((model, anchor))
+    }
+}
+
+impl Search<'_> {
+    /// Settles the `model` from its `anchor` with stiff priors, one of its nuisances being `held` at what is declared.
+    fn released(
+        &self,
+        model: &Model,
+        (anchor, held): (&Anchor, Option<usize>),
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let mut stiffness = vec![STIFFNESS; self.nuisances.len()];
+        let mut x = model.x().to_vec();
+        if let Some(held) = held {
+            stiffness[held] = HELD;
+            x[held] = 0.0;
+        }
+        let stiff = Search { stiffness, ..Search::new(self.scene, self.settings, self.replay)? };
+        let start = stiff.settle(&model.effects, &x, anchor, Some(model), STEPS)?;
+        let from = (None, anchor);
+        let (found, there) = stiff.replayed_until_settled(start, from, (MAX_ANCHORS, f64::INFINITY), progress)?;
+        Ok((self.settle(&model.effects, found.x(), &there, Some(&found), 0)?, there))
+    }
+
+    /// Tolerances far from what is declared whose kinds are confused with that of an effect of the `model`.
+    fn shared_with_effects(&self, model: &Model) -> Vec<usize> {
+        let confused: Vec<&str> = model
+            .effects
+            .iter()
+            .filter_map(|e| effects::find(e.kind).ok())
+            .flat_map(|e| e.catalogue.confused_with.iter().copied())
+            .collect();
+        let is_far = |i: &usize| model.x()[*i].abs() > FAR && confused.contains(&self.nuisances[*i].instance.kind);
+        (0..self.nuisances.len()).filter(is_far).collect()
+    }
+
+    /// Whether effects are looked for that tolerances have made up for.
+    pub(super) fn is_strained(&self) -> bool {
+        self.scene.stiffness > 1.0
+    }
+
+    /// By how much tolerances cost less in the model `with` an effect than in `base`, less the charge; below nothing where it leaves
+    /// more than noise.
+    pub(super) fn plainer(&self, base: &Model, with: &Model, effect: &Instance) -> f64 {
+        let gain = base.prior() - with.prior() - self.charge() * parameters(effect);
+        if with.is_clean() { gain } else { gain.min(0.0) - LEFT }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{DT_S, judged, transfer};
+    use super::super::problem::{Event, NoiseSpectrum, Problem};
+    use super::*;
+    use crate::manifest::Tolerances;
+    use crate::numerics::spectrum;
+    use crate::progress::Quiet;
+
+    /// A uniform column of which an effect adds to the damping that tolerances multiply.
+    struct Damped<'a>(&'a Problem);
+
+    impl Replay for Damped<'_> {
+        fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+            let sum = |kind: &str, key: &str| -> f64 {
+                let of = |t: &&toml::Table| t["kind"].as_str() == Some(kind);
+                effects.iter().filter(of).filter_map(|t| t.get(key)?.as_float()).sum()
+            };
+            let vs_m_s = 200.0 * sum("layer_velocity", "ln_factor").exp();
+            let added = 100.0 * sum("frequency_dependent_damping", "beta_s");
+            let damping_ratio = 0.02 * sum("small_strain_damping", "multiplier").max(0.1) + added;
+            let passed = |event: &Event| {
+                let at = |z: &f64| {
+                    let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
+                        [u * transfer(vs_m_s, damping_ratio, *z, f)]
+                    });
+                    motion
+                };
+                Some(self.0.array.depths_m.iter().map(at).collect())
+            };
+            Ok(self.0.events.iter().map(passed).collect())
+        }
+    }
+
+    #[test]
+    fn a_tolerance_at_its_end_gives_way_to_the_effect_it_is_confused_with() {
+        let mut problem = judged("");
+        // Twice the noise that is there: nothing but noise is to be left wherever replays lead.
+        problem.events.iter_mut().for_each(|e| e.noise = vec![NoiseSpectrum::white(0.02, DT_S); 3]);
+        problem.tolerances = Tolerances { vs_ln: 0.2, damping_ln: 0.1, ..problem.tolerances };
+        let (settings, replay) = (DiagnoseSettings::default(), Damped(&problem));
+        let mut scene = Scene::new(&problem, &settings).unwrap();
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let nuisance = |kind: &str| search.nuisances.iter().position(|n| n.instance.kind == kind).unwrap();
+        let [velocity, damping] = ["layer_velocity", "small_strain_damping"].map(nuisance);
+        let mut x = vec![0.0; search.nuisances.len()];
+        // The truth has 150 m/s and a damping ratio of 0.03.
+        x[velocity] = 0.75f64.ln() / 0.2;
+        x[damping] = 1.4f64.ln() / 0.1;
+        x.push(0.00002);
+        let is_beta = |i: &&Instance| i.kind == "frequency_dependent_damping" && i.free[0].parameter.name == "beta_s";
+        let effects = vec![search.instances.iter().find(is_beta).unwrap().clone()];
+        let anchor = scene.look_around(&replay, &settings, (&effects, &x), &Quiet).unwrap();
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let model = search.settle(&effects, &x, &anchor, None, 0).unwrap();
+        assert!(model.is_clean() && model.strain() > 0.0, "{:?} {}", model.surprise(), model.strain());
+        let (found, _) = scene.relaxed((model, anchor), &replay, &settings, &Quiet).unwrap();
+        let [multiplier, beta_s] = [x[damping], found.x()[x.len() - 1]];
+        assert!(found.is_clean() && found.x()[damping].abs() < 0.1 * multiplier, "{}", found.x()[damping]);
+        assert!((beta_s - 0.0001).abs() < 0.00001, "{beta_s}");
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let gain =
+            search.plainer(&search.settle(&effects, &x, &Anchor::fast(&scene), None, 0).unwrap(), &found, &effects[0]);
+        assert!((gain - (multiplier.powi(2) - search.charge())).abs() < 2.0, "{gain}");
+    }
+}
