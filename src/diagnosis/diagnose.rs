@@ -172,6 +172,7 @@ fn diagnose_rest(
         }
     }
     path.stiffen(&mut scene, (1.0, settings), replay)?;
+    path.alternatives = scene.alternatives((&path.corrected, &path.anchor), replay, settings, progress)?;
     verdict::assemble(&Search::new(&scene, settings, Some(replay))?, &path, thresholds)
 }
 
@@ -194,6 +195,8 @@ pub(super) struct Path {
     /// Declared nuisances but for the damping: an effect that is strong is seen from there, before nuisances have taken its
     /// place.
     plain: Vec<f64>,
+    /// Other models that explain as much, and their anchors.
+    pub alternatives: Vec<(Model, Anchor)>,
     /// Anchor of the best effect of the last round.
     confirmed: Option<Anchor>,
     /// The same effect at another place, where that was confirmed too.
@@ -331,6 +334,7 @@ impl Search<'_> {
             first: Vec::new(),
             anchor,
             plain: plain.to_vec(),
+            alternatives: Vec::new(),
             confirmed: None,
             rival: None,
         })

@@ -8,7 +8,7 @@ use super::round::parameters;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use crate::effects::{self, Instance};
+use crate::effects::Instance;
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -19,6 +19,8 @@ pub(super) const STIFFNESS: f64 = 10.0;
 const HELD: f64 = 1e6;
 /// Prior standard deviations beyond which that is tried.
 const FAR: f64 = 2.0;
+/// The same where it makes a model that is an alternative.
+const UNLIKELY: f64 = 1.0;
 /// What an effect is put back by that leaves more than noise.
 const LEFT: f64 = 50.0;
 /// Steps of the fit there.
@@ -50,19 +52,20 @@ impl Scene<'_> {
         if !model.is_clean() || model.strain() <= 0.0 {
             return Ok((model, anchor));
         }
-        let shared = Search::new(self, settings, Some(replay))?.shared_with_effects(&model);
-        for held in shared.into_iter().map(Some).chain([None]) {
+        let shared = Search::new(self, settings, Some(replay))?.shared_with(&model.effects, &model, FAR);
+        for held in shared.into_iter().map(|i| vec![i]).chain([Vec::new()]) {
             let mut there = self.clone();
-            let mut found = Search::new(&there, settings, Some(replay))?.released(&model, (&anchor, held), progress)?;
-            if held.is_some() {
+            let mut found =
+                Search::new(&there, settings, Some(replay))?.released(&model, (&anchor, &held), progress)?;
+            if !held.is_empty() {
                 let (effects, x) = (found.0.effects.clone(), found.0.x().to_vec());
                 let around = there.look_around(replay, settings, (&effects, &x), progress)?;
                 let search = Search::new(&there, settings, Some(replay))?;
                 let seen = search.settle(&effects, &x, &around, None, 0)?;
-                found = search.released(&seen, (&around, held), progress)?;
+                found = search.released(&seen, (&around, &held), progress)?;
             }
             let search = Search::new(&there, settings, Some(replay))?;
-            let what = held.map_or("all".into(), |i| search.nuisances[i].what());
+            let what = held.first().map_or("all".into(), |i| search.nuisances[*i].what());
             let (before, now) = (model.prior(), found.0.prior());
             progress.note(&format!("relaxed ({what}): tolerances {before:.0} before, {now:.0} now"));
             if is_plainer(&found.0, &model) {
@@ -71,21 +74,52 @@ impl Scene<'_> {
         }
         Ok((model, anchor))
     }
+
+    /// Models that leave no more than noise either, each with another parameter of an effect of the `model` in place of the tolerances
+    /// that are confused with it: too weak to be named, it may be there. What they estimate is as good as what the `model` does.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn alternatives(
+        &self,
+        (model, anchor): (&Model, &Anchor),
+        replay: &dyn Replay,
+        settings: &DiagnoseSettings,
+        progress: &dyn Progress,
+    ) -> Result<Vec<(Model, Anchor)>> {
+        let search = Search::new(self, settings, Some(replay))?;
+        let mut found = Vec::new();
+        if !model.is_clean() {
+            return Ok(found);
+        }
+        let is_more = |i: &Instance| model.effects.iter().any(|e| e.kind == i.kind && e.target == i.target);
+        for more in search.open(&model.effects).into_iter().filter(is_more) {
+            let held = search.shared_with(std::slice::from_ref(&more), model, UNLIKELY);
+            let Some(zero) = more.zero().filter(|_| !held.is_empty()) else { continue };
+            let along = self.along_all(replay, std::slice::from_ref(&more))?;
+            let search = Search::new(&along, settings, Some(replay))?;
+            let (effects, x) = ([&model.effects[..], &[more]].concat(), [model.x(), &zero].concat());
+            let start = search.settle(&effects, &x, anchor, None, 0)?;
+            let other = search.released(&start, (anchor, &held), progress)?;
+            found.extend(Some(other).filter(|o| o.0.is_clean()));
+        }
+        Ok(found)
+    }
 }
 
 impl Search<'_> {
-    /// Settles the `model` from its `anchor` with stiff priors, one of its nuisances being `held` at what is declared.
+    /// Settles the `model` from its `anchor` with stiff priors, those of its nuisances that are `held` being as declared.
     fn released(
         &self,
         model: &Model,
-        (anchor, held): (&Anchor, Option<usize>),
+        (anchor, held): (&Anchor, &[usize]),
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
         let mut stiffness = vec![STIFFNESS; self.nuisances.len()];
         let mut x = model.x().to_vec();
-        if let Some(held) = held {
-            stiffness[held] = HELD;
-            x[held] = 0.0;
+        for held in held {
+            stiffness[*held] = HELD;
+            x[*held] = 0.0;
         }
         let stiff = Search { stiffness, ..Search::new(self.scene, self.settings, self.replay)? };
         let start = stiff.settle(&model.effects, &x, anchor, Some(model), STEPS)?;
@@ -94,15 +128,16 @@ impl Search<'_> {
         Ok((self.settle(&model.effects, found.x(), &there, Some(&found), 0)?, there))
     }
 
-    /// Tolerances far from what is declared whose kinds are confused with that of an effect of the `model`.
-    fn shared_with_effects(&self, model: &Model) -> Vec<usize> {
-        let confused: Vec<&str> = model
-            .effects
+    /// Tolerances more than so many prior standard deviations from what is declared whose kinds are confused with that of one
+    /// of the `effects`.
+    fn shared_with(&self, effects: &[Instance], model: &Model, deviations: f64) -> Vec<usize> {
+        let confused: Vec<&str> = effects
             .iter()
-            .filter_map(|e| effects::find(e.kind).ok())
+            .filter_map(|e| crate::effects::find(e.kind).ok())
             .flat_map(|e| e.catalogue.confused_with.iter().copied())
             .collect();
-        let is_far = |i: &usize| model.x()[*i].abs() > FAR && confused.contains(&self.nuisances[*i].instance.kind);
+        let is_far =
+            |i: &usize| model.x()[*i].abs() > deviations && confused.contains(&self.nuisances[*i].instance.kind);
         (0..self.nuisances.len()).filter(is_far).collect()
     }
 
@@ -138,7 +173,8 @@ mod tests {
                 effects.iter().filter(of).filter_map(|t| t.get(key)?.as_float()).sum()
             };
             let vs_m_s = 200.0 * sum("layer_velocity", "ln_factor").exp();
-            let added = 100.0 * sum("frequency_dependent_damping", "beta_s");
+            let of_effect = |key: &str| sum("frequency_dependent_damping", key);
+            let added = 100.0 * of_effect("beta_s") + 0.02 * of_effect("alpha_1_s");
             let damping_ratio = 0.02 * sum("small_strain_damping", "multiplier").max(0.1) + added;
             let passed = |event: &Event| {
                 let at = |z: &f64| {
@@ -175,6 +211,11 @@ mod tests {
         let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
         let model = search.settle(&effects, &x, &anchor, None, 0).unwrap();
         assert!(model.is_clean() && model.strain() > 0.0, "{:?} {}", model.surprise(), model.strain());
+        let others = scene.alternatives((&model, &anchor), &replay, &settings, &Quiet).unwrap();
+        let [(other, _)] = &others[..] else { panic!("{} alternatives", others.len()) };
+        assert!(other.is_clean() && other.effects.len() == 2 && other.x()[damping].abs() < 0.01);
+        let [beta_s, alpha_1_s] = other.x()[other.x().len() - 2..] else { unreachable!() };
+        assert!((100.0 * beta_s + 0.02 * alpha_1_s - 0.01).abs() < 0.0005, "{beta_s} {alpha_1_s}");
         let (found, _) = scene.relaxed((model, anchor), &replay, &settings, &Quiet).unwrap();
         let [multiplier, beta_s] = [x[damping], found.x()[x.len() - 1]];
         assert!(found.is_clean() && found.x()[damping].abs() < 0.1 * multiplier, "{}", found.x()[damping]);

@@ -1,5 +1,6 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
+use super::anchor::Anchor;
 use super::diagnose::Path;
 use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
@@ -45,7 +46,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
     Ok(Diagnosis {
         verdict,
-        effects: found(search, path, &deviations),
+        effects: found(search, path, &deviations, &alternatives(search, path)),
         ambiguity: if is_named { ambiguity } else { Vec::new() },
         nuisances,
         corrected_nuisances,
@@ -147,7 +148,18 @@ fn verdict(
     Verdict::Known
 }
 
-fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
+/// Coordinates of the effects of other models that explain as much, each with its standard deviation.
+fn alternatives(search: &Search<'_>, path: &Path) -> Vec<Vec<[f64; 2]>> {
+    let of = |(model, anchor): &(Model, Anchor)| {
+        let unknowns = search.unknowns(&model.effects);
+        let deviations = search.fitter(anchor).deviations(&unknowns, &model.train, model.level());
+        model.x().iter().zip(deviations).map(|(x, d)| [*x, d]).collect()
+    };
+    path.alternatives.iter().map(of).collect()
+}
+
+/// The named effects; intervals reach over all models that explain as much.
+fn found(search: &Search<'_>, path: &Path, deviations: &[f64], alternatives: &[Vec<[f64; 2]>]) -> Vec<Found> {
     let mut at = search.nuisances.len();
     let x = path.corrected.x();
     let of = |(instance, accepted): (&effects::Instance, &Fitted)| {
@@ -159,8 +171,10 @@ fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
             .zip(own.clone())
             .map(|(free, i)| {
                 let p = free.parameter;
-                let ends =
-                    [-1.0, 1.0].map(|sign| p.value(clamped(x[i] + sign * TWO_SIDED * deviations[i], p.bounds())));
+                let all = || alternatives.iter().map(|a| a[i]).chain([[x[i], deviations[i]]]);
+                let low = all().map(|[x, d]| x - TWO_SIDED * d).fold(f64::INFINITY, f64::min);
+                let high = all().map(|[x, d]| x + TWO_SIDED * d).fold(f64::NEG_INFINITY, f64::max);
+                let ends = [low, high].map(|end| p.value(clamped(end, p.bounds())));
                 let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
                 (p.name.to_string(), Estimate { value: p.value(x[i]), unit: p.unit.to_string(), ci95 })
             })
