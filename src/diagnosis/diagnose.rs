@@ -39,7 +39,7 @@ const POLISHES: usize = 3;
 const PAYS: f64 = 0.9;
 /// Standard deviations by which tolerances are farther from what is declared than chance puts them where something else is to be
 /// looked for.
-const STRAINED: f64 = 3.0;
+pub(super) const STRAINED: f64 = 3.0;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 

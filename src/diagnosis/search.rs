@@ -75,19 +75,18 @@ impl Model {
 
     /// Σn² of the nuisances: how far they are from what is declared.
     pub fn prior(&self) -> f64 {
-        square(self.nuisances())
+        square(&self.x()[..self.n_nuisance()])
     }
 
     /// Standard deviations by which the nuisances are farther from what is declared than chance puts them.
     pub fn strain(&self) -> f64 {
-        let n = self.nuisances().len() as f64;
+        let n = self.n_nuisance() as f64;
         (self.prior() - n) / (2.0 * n).sqrt()
     }
 
-    /// Nuisances of the estimate, prior standard deviations.
-    fn nuisances(&self) -> &[f64] {
-        let n_effect: usize = self.effects.iter().map(|e| e.free.len()).sum();
-        &self.x()[..self.x().len() - n_effect]
+    /// Number of nuisances.
+    pub fn n_nuisance(&self) -> usize {
+        self.x().len() - self.effects.iter().map(|e| e.free.len()).sum::<usize>()
     }
 
     /// Cost over the cost of noise alone.

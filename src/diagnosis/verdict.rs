@@ -1,7 +1,7 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
 use super::anchor::Anchor;
-use super::diagnose::Path;
+use super::diagnose::{Path, STRAINED};
 use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
 use super::outcome::{
@@ -41,6 +41,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     notes.extend(unnamed(&evidence, verdict));
     let input_coherent_share = input_coherent_share(search, &path.recalibrated);
     notes.extend(unfollowing(input_coherent_share, verdict));
+    notes.extend(strained(corrected));
     let nuisances = nuisance_tables(&search.nuisances, path.recalibrated.x());
     let corrected_nuisances = nuisance_tables(&search.nuisances, corrected.x());
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
@@ -61,6 +62,17 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
         remainder: remainder(search, corrected),
         evidence,
         notes,
+    })
+}
+
+/// How far tolerances went where that is the only reason why nothing but noise is left.
+fn strained(model: &Model) -> Option<String> {
+    (model.is_clean() && model.strain() > STRAINED).then(|| {
+        format!(
+            "nothing but noise is left because declared values are farther off than their tolerances let expect (squared deviations sum up to {:.0}, {} expected): they may stand for something without a name",
+            model.prior(),
+            model.n_nuisance()
+        )
     })
 }
 
