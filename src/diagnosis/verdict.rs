@@ -20,6 +20,19 @@ const EDGES_HZ: [f64; 8] = [0.0, 0.5, 1.0, 2.0, 3.5, 5.0, 7.0, 100.0];
 /// Normal quantile of a two-sided 95 % interval.
 const TWO_SIDED: f64 = 1.96;
 
+/// Standard deviations to either side that an interval reaches: as far as a model costs what 95 % leave open, and what replays cannot
+/// tell apart,
+///
+/// ```text
+/// x ± σ √(1.96² + a)
+/// ```
+///
+/// a being the cost within which two effects count as indistinguishable: two replays that hardly differ cost as much more or less.
+fn reach(search: &Search<'_>) -> f64 {
+    let unresolved = if search.replay.is_some() { search.settings.ambiguity } else { 0.0 };
+    (TWO_SIDED * TWO_SIDED + unresolved).sqrt()
+}
+
 /// Everything a diagnosis says.
 ///
 /// # Errors
@@ -172,6 +185,7 @@ fn alternatives(search: &Search<'_>, path: &Path) -> Vec<Vec<[f64; 2]>> {
 
 /// The named effects; intervals reach over all models that explain as much.
 fn found(search: &Search<'_>, path: &Path, deviations: &[f64], alternatives: &[Vec<[f64; 2]>]) -> Vec<Found> {
+    let reach = reach(search);
     let mut at = search.nuisances.len();
     let x = path.corrected.x();
     let of = |(instance, accepted): (&effects::Instance, &Fitted)| {
@@ -184,8 +198,8 @@ fn found(search: &Search<'_>, path: &Path, deviations: &[f64], alternatives: &[V
             .map(|(free, i)| {
                 let p = free.parameter;
                 let all = || alternatives.iter().map(|a| a[i]).chain([[x[i], deviations[i]]]);
-                let low = all().map(|[x, d]| x - TWO_SIDED * d).fold(f64::INFINITY, f64::min);
-                let high = all().map(|[x, d]| x + TWO_SIDED * d).fold(f64::NEG_INFINITY, f64::max);
+                let low = all().map(|[x, d]| x - reach * d).fold(f64::INFINITY, f64::min);
+                let high = all().map(|[x, d]| x + reach * d).fold(f64::NEG_INFINITY, f64::max);
                 let ends = [low, high].map(|end| p.value(clamped(end, p.bounds())));
                 let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
                 (p.name.to_string(), Estimate { value: p.value(x[i]), unit: p.unit.to_string(), ci95 })
@@ -220,7 +234,7 @@ fn tolerance_alarms(
         if x.abs() <= thresholds.deviations {
             return None;
         }
-        let half = TWO_SIDED * deviations[i];
+        let half = reach(search) * deviations[i];
         let ci95 = [nuisance.value(x - half), nuisance.value(x + half)];
         let unit = nuisance.parameter().unit.to_string();
         Some(ToleranceAlarm {
@@ -242,7 +256,7 @@ fn upper_bounds(search: &Search<'_>, fitter: &Fitter<'_>, model: &Model) -> Vec<
         let Some(column) = derivative(fitter, &unknowns, &model.train, instance, &zero) else { continue };
         let Some((step, normal)) = marginal.score(&model.train.residual, &column) else { continue };
         let deviation = 1.0 / normal[(0, 0)].sqrt();
-        let size = step[0].abs() + TWO_SIDED * deviation;
+        let size = step[0].abs() + reach(search) * deviation;
         let p = free.parameter;
         let toward = if zero[0] + size <= p.bounds()[1] { zero[0] + size } else { p.bounds()[1] };
         let bound = UpperBound {
