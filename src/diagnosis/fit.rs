@@ -319,38 +319,12 @@ pub(super) fn solved(a: &Mat<f64>, b: &[f64]) -> Option<Vec<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::made_up::{judged, transfer};
-    use super::super::problem::{Event, Problem, Replay};
+    use super::super::made_up::{Uniform, judged};
     use super::super::search::Search;
     use super::super::settings::DiagnoseSettings;
     use super::super::unknowns::nuisances;
     use super::*;
-    use crate::numerics::spectrum;
     use crate::progress::Quiet;
-
-    /// A uniform column that knows velocities and damping.
-    struct Uniform<'a>(&'a Problem);
-
-    impl Replay for Uniform<'_> {
-        fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-            let sum = |kind: &str, key: &str| -> f64 {
-                let of = |t: &&toml::Table| t["kind"].as_str() == Some(kind);
-                effects.iter().filter(of).filter_map(|t| t.get(key)?.as_float()).sum()
-            };
-            let vs_m_s = 200.0 * sum("layer_velocity", "ln_factor").exp();
-            let damping_ratio = 0.02 * sum("small_strain_damping", "multiplier").max(0.1);
-            let passed = |event: &Event| {
-                let at = |z: &f64| {
-                    let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
-                        [u * transfer(vs_m_s, damping_ratio, *z, f)]
-                    });
-                    motion
-                };
-                Some(self.0.array.depths_m.iter().map(at).collect())
-            };
-            Ok(self.0.events.iter().map(passed).collect())
-        }
-    }
 
     #[test]
     fn derivatives_of_what_neighbours_follow_are_those_of_residuals() {

@@ -1,8 +1,9 @@
 //! A made-up array for tests: a uniform column under the errors of its sensors.
 
-use super::problem::{Event, NoiseSpectrum, Problem};
+use super::problem::{Event, NoiseSpectrum, Problem, Replay};
 use crate::column::{Layer, Profile};
 use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
+use crate::error::Result;
 use crate::manifest::Tolerances;
 use crate::numerics::{random, spectrum};
 use crate::records::Split;
@@ -85,6 +86,32 @@ pub fn judged(table: &str) -> Problem {
     let mut problem = problem(table);
     problem.events[10..].iter_mut().for_each(|e| e.split = Split::Validation);
     problem
+}
+
+/// Replays a uniform column that knows velocities, and damping that tolerances multiply and an effect adds to.
+pub struct Uniform<'a>(pub &'a Problem);
+
+impl Replay for Uniform<'_> {
+    fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        let sum = |kind: &str, key: &str| -> f64 {
+            let of = |t: &&toml::Table| t["kind"].as_str() == Some(kind);
+            effects.iter().filter(of).filter_map(|t| t.get(key)?.as_float()).sum()
+        };
+        let vs_m_s = 200.0 * sum("layer_velocity", "ln_factor").exp();
+        let of_effect = |key: &str| sum("frequency_dependent_damping", key);
+        let added = 100.0 * of_effect("beta_s") + 0.02 * of_effect("alpha_1_s");
+        let damping_ratio = 0.02 * sum("small_strain_damping", "multiplier").max(0.1) + added;
+        let passed = |event: &Event| {
+            let at = |z: &f64| {
+                let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
+                    [u * transfer(vs_m_s, damping_ratio, *z, f)]
+                });
+                motion
+            };
+            Some(self.0.array.depths_m.iter().map(at).collect())
+        };
+        Ok(self.0.events.iter().map(passed).collect())
+    }
 }
 
 fn sample(stream: &mut impl rand::Rng) -> f64 {

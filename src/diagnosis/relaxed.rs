@@ -156,38 +156,11 @@ impl Search<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::made_up::{DT_S, judged, transfer};
-    use super::super::problem::{Event, NoiseSpectrum, Problem};
+    use super::super::made_up::{DT_S, Uniform, judged};
+    use super::super::problem::NoiseSpectrum;
     use super::*;
     use crate::manifest::Tolerances;
-    use crate::numerics::spectrum;
     use crate::progress::Quiet;
-
-    /// A uniform column of which an effect adds to the damping that tolerances multiply.
-    struct Damped<'a>(&'a Problem);
-
-    impl Replay for Damped<'_> {
-        fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
-            let sum = |kind: &str, key: &str| -> f64 {
-                let of = |t: &&toml::Table| t["kind"].as_str() == Some(kind);
-                effects.iter().filter(of).filter_map(|t| t.get(key)?.as_float()).sum()
-            };
-            let vs_m_s = 200.0 * sum("layer_velocity", "ln_factor").exp();
-            let of_effect = |key: &str| sum("frequency_dependent_damping", key);
-            let added = 100.0 * of_effect("beta_s") + 0.02 * of_effect("alpha_1_s");
-            let damping_ratio = 0.02 * sum("small_strain_damping", "multiplier").max(0.1) + added;
-            let passed = |event: &Event| {
-                let at = |z: &f64| {
-                    let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
-                        [u * transfer(vs_m_s, damping_ratio, *z, f)]
-                    });
-                    motion
-                };
-                Some(self.0.array.depths_m.iter().map(at).collect())
-            };
-            Ok(self.0.events.iter().map(passed).collect())
-        }
-    }
 
     #[test]
     fn a_tolerance_at_its_end_gives_way_to_the_effect_it_is_confused_with() {
@@ -195,7 +168,7 @@ mod tests {
         // Twice the noise that is there: nothing but noise is to be left wherever replays lead.
         problem.events.iter_mut().for_each(|e| e.noise = vec![NoiseSpectrum::white(0.02, DT_S); 3]);
         problem.tolerances = Tolerances { vs_ln: 0.2, damping_ln: 0.1, ..problem.tolerances };
-        let (settings, replay) = (DiagnoseSettings::default(), Damped(&problem));
+        let (settings, replay) = (DiagnoseSettings::default(), Uniform(&problem));
         let mut scene = Scene::new(&problem, &settings).unwrap();
         let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
         let nuisance = |kind: &str| search.nuisances.iter().position(|n| n.instance.kind == kind).unwrap();
