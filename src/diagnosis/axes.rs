@@ -90,7 +90,7 @@ impl Scene<'_> {
         let Some(known) = &self.neighbours else { return Ok(along) };
         let mut all = Neighbours::clone(known);
         // What tolerances of velocities have made up for is followed as they are.
-        let is_made_up_for = |i: &Instance| self.stiffness > 1.0 && i.kind == "layer_velocity";
+        let is_made_up_for = |i: &Instance| self.is_stiff() && i.kind == "layer_velocity";
         for (instance, coordinate) in wanted.iter().filter(|(i, _)| is_followable(i) && !is_made_up_for(i)) {
             let Some(zero) = instance.zero().map(|z| z[0]) else { continue };
             let known = all.axes.iter().find(|axis| axis.instance == **instance).map_or(&[][..], |axis| &axis.nodes);

@@ -37,9 +37,6 @@ const REPLAYS: usize = 6;
 const POLISHES: usize = 3;
 /// Share of the excess over noise that a look must leave at most for another to follow.
 const PAYS: f64 = 0.9;
-/// Standard deviations by which tolerances are farther from what is declared than chance puts them where something else is to be
-/// looked for.
-pub(super) const STRAINED: f64 = 3.0;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -136,7 +133,7 @@ fn diagnose_rest(
     let rounds = if path.recalibrated.excess() > 0.0 { settings.max_effects } else { 0 };
     for number in 1..=rounds {
         let ground = (number, around_plain.take());
-        if path.is_strained() {
+        if path.corrected.is_strained() {
             path.stiffen(&mut scene, (STIFFNESS, settings), replay)?;
         }
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
@@ -166,7 +163,8 @@ fn diagnose_rest(
         path.stiffen(&mut scene, (1.0, settings), replay)?;
         let here = (path.corrected.clone(), path.anchor.clone());
         (path.corrected, path.anchor) = scene.relaxed(here, replay, settings, progress)?;
-        let is_left = path.is_strained() || path.corrected.surprise().into_iter().any(|s| s > thresholds.excess);
+        let is_left =
+            path.corrected.is_strained() || path.corrected.surprise().into_iter().any(|s| s > thresholds.excess);
         if !is_left || path.accepted.len() < kept {
             break;
         }
@@ -218,7 +216,7 @@ impl Search<'_> {
         let fitted = self.fair_round(path, (number, around_plain), progress)?;
         let detail = DETAIL * path.accepted.iter().map(|f| f.gain).fold(0.0, f64::max);
         // Where records are described to within noise, no detail of what was found is left for anything to describe.
-        let [least, on_validation] = if self.is_strained() {
+        let [least, on_validation] = if self.scene.is_stiff() {
             [thresholds.gain, f64::NEG_INFINITY]
         } else {
             [thresholds.gain.max(detail), thresholds.validation_gain]
@@ -355,12 +353,14 @@ impl Search<'_> {
                 without = self.replayed_until_settled(start, (None, &anchor), (REPLAYS, at_stake), progress)?;
             }
             let level = path.corrected.level().max(1.0);
-            let mut gain = (without.0.cost() - path.corrected.cost()) / level - self.charge() * parameters(dropped);
-            let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
-            let mut least = thresholds.gain.max(DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max));
-            if without.0.is_clean() && path.corrected.is_clean() && self.is_strained() {
-                (gain, least) = (self.plainer(&without.0, &path.corrected, dropped), thresholds.gain);
-            }
+            let [gain, least] = if self.scene.is_stiff() && without.0.is_clean() && path.corrected.is_clean() {
+                [self.plainer(&without.0, &path.corrected, dropped), thresholds.gain]
+            } else {
+                let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
+                let detail = DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max);
+                let fall = (without.0.cost() - path.corrected.cost()) / level;
+                [fall - self.charge() * parameters(dropped), thresholds.gain.max(detail)]
+            };
             if gain < least {
                 progress.note(&format!("{} {} gains {gain:.0} no more", dropped.kind, dropped.place()));
                 (path.corrected, path.anchor) = without;
@@ -374,11 +374,6 @@ impl Search<'_> {
 }
 
 impl Path {
-    /// Whether nothing but noise is left because tolerances went farther than chance lets them.
-    fn is_strained(&self) -> bool {
-        self.corrected.is_clean() && self.corrected.strain() > STRAINED
-    }
-
     /// Gives the priors this weight from now on.
     fn stiffen(
         &mut self,

@@ -8,7 +8,7 @@ use super::round::parameters;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use crate::effects::Instance;
+use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -21,12 +21,17 @@ const HELD: f64 = 1e6;
 const FAR: f64 = 2.0;
 /// The same where it makes a model that is an alternative.
 const UNLIKELY: f64 = 1.0;
-/// What an effect is put back by that leaves more than noise.
-const LEFT: f64 = 50.0;
 /// Steps of the fit there.
 const STEPS: usize = 12;
+/// What an effect is put back by that leaves more than noise.
+const LEFT: f64 = 50.0;
 
 impl Scene<'_> {
+    /// Whether effects are looked for that tolerances have made up for.
+    pub(super) fn is_stiff(&self) -> bool {
+        self.stiffness > 1.0
+    }
+
     /// The `model` with its tolerances as close to what is declared as noise lets its effects make up for them:
     ///
     /// ```text
@@ -133,17 +138,12 @@ impl Search<'_> {
     fn shared_with(&self, effects: &[Instance], model: &Model, deviations: f64) -> Vec<usize> {
         let confused: Vec<&str> = effects
             .iter()
-            .filter_map(|e| crate::effects::find(e.kind).ok())
+            .filter_map(|e| effects::find(e.kind).ok())
             .flat_map(|e| e.catalogue.confused_with.iter().copied())
             .collect();
         let is_far =
             |i: &usize| model.x()[*i].abs() > deviations && confused.contains(&self.nuisances[*i].instance.kind);
         (0..self.nuisances.len()).filter(is_far).collect()
-    }
-
-    /// Whether effects are looked for that tolerances have made up for.
-    pub(super) fn is_strained(&self) -> bool {
-        self.scene.stiffness > 1.0
     }
 
     /// By how much tolerances cost less in the model `with` an effect than in `base`, less the charge; below nothing where it leaves

@@ -282,7 +282,7 @@ impl Search<'_> {
     pub(super) fn judge(&self, fitted: &mut Vec<Fitted>, base: &Model) {
         let level = fitted.iter().map(|f| f.model.level()).fold(base.level(), f64::min).max(1.0);
         for f in fitted.iter_mut() {
-            if self.is_strained() {
+            if self.scene.is_stiff() {
                 (f.validation_gain, f.gain) = (0.0, self.plainer(base, &f.model, &f.instance));
                 continue;
             }

@@ -14,6 +14,9 @@ use crate::records::Split;
 /// Standard deviations beyond noise at which a model is no place to see an effect of the soil from.
 const FAR: f64 = 30.0;
 
+/// Standard deviations by which nuisances are farther from what is declared than chance puts them where they stand for something else.
+const STRAINED: f64 = 3.0;
+
 /// Standard deviations beyond noise up to which nothing is left.
 pub(super) const CLEAN: f64 = 3.0;
 
@@ -82,6 +85,11 @@ impl Model {
     pub fn strain(&self) -> f64 {
         let n = self.n_nuisance() as f64;
         (self.prior() - n) / (2.0 * n).sqrt()
+    }
+
+    /// Whether nothing but noise is left because nuisances went farther than chance lets them.
+    pub fn is_strained(&self) -> bool {
+        self.is_clean() && self.strain() > STRAINED
     }
 
     /// Number of nuisances.

@@ -1,7 +1,7 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
 use super::anchor::Anchor;
-use super::diagnose::{Path, STRAINED};
+use super::diagnose::Path;
 use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
 use super::outcome::{
@@ -80,7 +80,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
 
 /// How far tolerances went where that is the only reason why nothing but noise is left.
 fn strained(model: &Model) -> Option<String> {
-    (model.is_clean() && model.strain() > STRAINED).then(|| {
+    model.is_strained().then(|| {
         format!(
             "nothing but noise is left because declared values are farther off than their tolerances let expect (squared deviations sum up to {:.0}, {} expected): they may stand for something without a name",
             model.prior(),
