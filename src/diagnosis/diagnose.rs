@@ -193,8 +193,8 @@ pub(super) struct Path {
     /// Declared nuisances but for the damping: an effect that is strong is seen from there, before nuisances have taken its
     /// place.
     plain: Vec<f64>,
-    /// Other models that explain as much, and their anchors.
-    pub alternatives: Vec<(Model, Anchor)>,
+    /// Estimates of other models that leave nothing either, each unknown with its standard deviation.
+    pub alternatives: Vec<Vec<[f64; 2]>>,
     /// Anchor of the best effect of the last round.
     confirmed: Option<Anchor>,
     /// The same effect at another place, where that was confirmed too.

@@ -60,14 +60,13 @@ impl Scene<'_> {
         let shared = Search::new(self, settings, Some(replay))?.shared_with(&model.effects, &model, FAR);
         for held in shared.into_iter().map(|i| vec![i]).chain([Vec::new()]) {
             let mut there = self.clone();
-            let mut found =
-                Search::new(&there, settings, Some(replay))?.released(&model, (&anchor, &held), progress)?;
+            let search = Search::new(&there, settings, Some(replay))?;
+            let mut found = search.released(&model.effects, model.x(), (&anchor, &held), progress)?;
             if !held.is_empty() {
-                let (effects, x) = (found.0.effects.clone(), found.0.x().to_vec());
-                let around = there.look_around(replay, settings, (&effects, &x), progress)?;
+                let (effects, x) = (&found.0.effects, found.0.x());
+                let around = there.look_around(replay, settings, (effects, x), progress)?;
                 let search = Search::new(&there, settings, Some(replay))?;
-                let seen = search.settle(&effects, &x, &around, None, 0)?;
-                found = search.released(&seen, (&around, &held), progress)?;
+                found = search.released(effects, x, (&around, &held), progress)?;
             }
             let search = Search::new(&there, settings, Some(replay))?;
             let what = held.first().map_or("all".into(), |i| search.nuisances[*i].what());
@@ -80,8 +79,9 @@ impl Scene<'_> {
         Ok((model, anchor))
     }
 
-    /// Models that leave no more than noise either, each with another parameter of an effect of the `model` in place of the tolerances
-    /// that are confused with it: too weak to be named, it may be there. What they estimate is as good as what the `model` does.
+    /// Estimates of models that leave no more than noise either, each with another parameter of an effect of the `model` in place of
+    /// the tolerances that are confused with it: too weak to be named, it may be there. Each unknown with its standard deviation,
+    /// those of the `model` first.
     ///
     /// # Errors
     /// When a replay is impossible.
@@ -91,7 +91,7 @@ impl Scene<'_> {
         replay: &dyn Replay,
         settings: &DiagnoseSettings,
         progress: &dyn Progress,
-    ) -> Result<Vec<(Model, Anchor)>> {
+    ) -> Result<Vec<Vec<[f64; 2]>>> {
         let search = Search::new(self, settings, Some(replay))?;
         let mut found = Vec::new();
         if !model.is_clean() {
@@ -104,33 +104,38 @@ impl Scene<'_> {
             let along = self.along_all(replay, std::slice::from_ref(&more))?;
             let search = Search::new(&along, settings, Some(replay))?;
             let (effects, x) = ([&model.effects[..], &[more]].concat(), [model.x(), &zero].concat());
-            let start = search.settle(&effects, &x, anchor, None, 0)?;
-            let other = search.released(&start, (anchor, &held), progress)?;
-            found.extend(Some(other).filter(|o| o.0.is_clean()));
+            let (other, there) = search.released(&effects, &x, (anchor, &held), progress)?;
+            if !other.is_clean() {
+                continue;
+            }
+            let unknowns = search.unknowns(&effects);
+            let deviations = search.fitter(&there).deviations(&unknowns, &other.train, other.level());
+            found.push(other.x().iter().zip(deviations).map(|(x, d)| [*x, d]).collect());
         }
         Ok(found)
     }
 }
 
 impl Search<'_> {
-    /// Settles the `model` from its `anchor` with stiff priors, those of its nuisances that are `held` being as declared.
+    /// Settles the `effects` from `x` and `anchor` with stiff priors, those of the nuisances that are `held` being as declared.
     fn released(
         &self,
-        model: &Model,
+        effects: &[Instance],
+        x: &[f64],
         (anchor, held): (&Anchor, &[usize]),
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
         let mut stiffness = vec![STIFFNESS; self.nuisances.len()];
-        let mut x = model.x().to_vec();
+        let mut x = x.to_vec();
         for held in held {
             stiffness[*held] = HELD;
             x[*held] = 0.0;
         }
         let stiff = Search { stiffness, ..Search::new(self.scene, self.settings, self.replay)? };
-        let start = stiff.settle(&model.effects, &x, anchor, Some(model), STEPS)?;
+        let start = stiff.settle(effects, &x, anchor, None, STEPS)?;
         let from = (None, anchor);
         let (found, there) = stiff.replayed_until_settled(start, from, (MAX_ANCHORS, f64::INFINITY), progress)?;
-        Ok((self.settle(&model.effects, found.x(), &there, Some(&found), 0)?, there))
+        Ok((self.settle(effects, found.x(), &there, Some(&found), 0)?, there))
     }
 
     /// Tolerances more than so many prior standard deviations from what is declared whose kinds are confused with that of one
@@ -185,10 +190,13 @@ mod tests {
         let model = search.settle(&effects, &x, &anchor, None, 0).unwrap();
         assert!(model.is_clean() && model.strain() > 0.0, "{:?} {}", model.surprise(), model.strain());
         let others = scene.alternatives((&model, &anchor), &replay, &settings, &Quiet).unwrap();
-        let [(other, _)] = &others[..] else { panic!("{} alternatives", others.len()) };
-        assert!(other.is_clean() && other.effects.len() == 2 && other.x()[damping].abs() < 0.01);
-        let [beta_s, alpha_1_s] = other.x()[other.x().len() - 2..] else { unreachable!() };
+        let [other] = &others[..] else { panic!("{} alternatives", others.len()) };
+        assert!(other.len() == x.len() + 1 && other[damping][0].abs() < 0.01);
+        let [[beta_s, deviation], [alpha_1_s, _]] = other[x.len() - 1..] else { unreachable!() };
         assert!((100.0 * beta_s + 0.02 * alpha_1_s - 0.01).abs() < 0.0005, "{beta_s} {alpha_1_s}");
+        let unknowns = search.unknowns(&effects);
+        let alone = search.fitter(&anchor).deviations(&unknowns, &model.train, model.level())[x.len() - 1];
+        assert!(alone < deviation && deviation.is_finite(), "{alone} {deviation}");
         let (found, _) = scene.relaxed((model, anchor), &replay, &settings, &Quiet).unwrap();
         let [multiplier, beta_s] = [x[damping], found.x()[x.len() - 1]];
         assert!(found.is_clean() && found.x()[damping].abs() < 0.1 * multiplier, "{}", found.x()[damping]);

@@ -1,6 +1,5 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
-use super::anchor::Anchor;
 use super::diagnose::Path;
 use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
@@ -60,7 +59,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
     Ok(Diagnosis {
         verdict,
-        effects: found(search, path, &deviations, &alternatives(search, path)),
+        effects: found(search, path, &deviations),
         ambiguity: if is_named { ambiguity } else { Vec::new() },
         nuisances,
         corrected_nuisances,
@@ -173,18 +172,8 @@ fn verdict(
     Verdict::Known
 }
 
-/// Coordinates of the effects of other models that explain as much, each with its standard deviation.
-fn alternatives(search: &Search<'_>, path: &Path) -> Vec<Vec<[f64; 2]>> {
-    let of = |(model, anchor): &(Model, Anchor)| {
-        let unknowns = search.unknowns(&model.effects);
-        let deviations = search.fitter(anchor).deviations(&unknowns, &model.train, model.level());
-        model.x().iter().zip(deviations).map(|(x, d)| [*x, d]).collect()
-    };
-    path.alternatives.iter().map(of).collect()
-}
-
 /// The named effects; intervals reach over all models that explain as much.
-fn found(search: &Search<'_>, path: &Path, deviations: &[f64], alternatives: &[Vec<[f64; 2]>]) -> Vec<Found> {
+fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
     let reach = reach(search);
     let mut at = search.nuisances.len();
     let x = path.corrected.x();
@@ -197,7 +186,7 @@ fn found(search: &Search<'_>, path: &Path, deviations: &[f64], alternatives: &[V
             .zip(own.clone())
             .map(|(free, i)| {
                 let p = free.parameter;
-                let all = || alternatives.iter().map(|a| a[i]).chain([[x[i], deviations[i]]]);
+                let all = || path.alternatives.iter().map(|a| a[i]).chain([[x[i], deviations[i]]]);
                 let low = all().map(|[x, d]| x - reach * d).fold(f64::INFINITY, f64::min);
                 let high = all().map(|[x, d]| x + reach * d).fold(f64::NEG_INFINITY, f64::max);
                 let ends = [low, high].map(|end| p.value(clamped(end, p.bounds())));
