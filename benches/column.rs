@@ -31,6 +31,7 @@ fn lotung(elements: usize) -> Column {
         density_kg_m3: 2065.0 - 7.5 * i as f64,
         vs_m_s: *vs,
         k0: 0.5,
+        fineness: 1.0,
         law_kind: "sanisand".into(),
         law: Default::default(),
     });

@@ -184,11 +184,10 @@ fn place(layer: usize) -> String {
     format!("layer {} from the surface", layer + 1)
 }
 
-/// Elements by thickness, at least one a layer, largest remainders first; the sum is `profile.elements`.
+/// Elements by thickness times fineness, at least one a layer, largest remainders first; the sum is `profile.elements`.
 fn elements_per_layer(profile: &Profile) -> Vec<usize> {
     let spare = (profile.elements - profile.layers.len()) as f64;
-    let share: Vec<f64> = profile.layers.iter().map(|l| l.thickness_m / profile.depth_m()).collect();
-    let wanted: Vec<f64> = share.iter().map(|s| (s * profile.elements as f64 - 1.0).max(0.0)).collect();
+    let wanted: Vec<f64> = profile.shares().iter().map(|s| (s * profile.elements as f64 - 1.0).max(0.0)).collect();
     let scale = spare / wanted.iter().sum::<f64>().max(f64::MIN_POSITIVE);
     let exact: Vec<f64> = wanted.iter().map(|w| w * scale).collect();
     let mut counts: Vec<usize> = exact.iter().map(|x| 1 + (x + 1e-9).floor() as usize).collect();
@@ -202,4 +201,25 @@ fn elements_per_layer(profile: &Profile) -> Vec<usize> {
         counts[*i] += 1;
     }
     counts
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::Layer;
+    use super::*;
+
+    #[test]
+    fn a_cut_layer_leaves_the_elements_of_the_others() {
+        let layer = |thickness_m: f64, count: usize| Layer {
+            fineness: count as f64 / thickness_m,
+            ..Layer::plain("elastic", thickness_m, 1900.0, 200.0)
+        };
+        let profile = |layers| Profile { elements: 52, ..Profile::plain(layers) };
+        let whole = vec![layer(1.0, 2), layer(33.0, 26), layer(22.0, 4), layer(59.0, 20)];
+        assert_eq!(elements_per_layer(&profile(whole.clone())), [2, 26, 4, 20]);
+        let mut cut = whole;
+        cut[1].thickness_m = 12.3;
+        cut.insert(1, Layer { thickness_m: 20.7, ..cut[1].clone() });
+        assert_eq!(elements_per_layer(&profile(cut)), [2, 16, 10, 4, 20]);
+    }
 }

@@ -18,7 +18,7 @@ pub struct Profile {
     /// Rayleigh damping of the whole column beside what the laws ask for.
     #[serde(default)]
     pub rayleigh: Rayleigh,
-    /// Number of elements, distributed over the layers by thickness; layer boundaries are kept.
+    /// Number of elements, distributed over the layers by thickness times fineness; layer boundaries are kept.
     pub elements: usize,
     /// What a plain layered column on a rigid base does not have.
     #[serde(default)]
@@ -37,6 +37,9 @@ pub struct Layer {
     pub vs_m_s: f64,
     /// Coefficient of earth pressure at rest K₀.
     pub k0: f64,
+    /// Elements in a metre of this layer over those in a metre of a layer with 1.
+    #[serde(default = "uniform", skip_serializing_if = "is_uniform")]
+    pub fineness: f64,
     /// Kind of the law, a name of `flare-pipe list laws`.
     pub law_kind: String,
     /// Parameters of the law, per-layer ones merged in; shared between edited profiles, of which a diagnosis makes many.
@@ -44,11 +47,27 @@ pub struct Layer {
     pub law: Arc<toml::Table>,
 }
 
+fn uniform() -> f64 {
+    1.0
+}
+
+fn is_uniform(fineness: &f64) -> bool {
+    *fineness == uniform()
+}
+
 #[cfg(test)]
 impl Layer {
     /// A layer with K₀ = 0.5 whose law is left to its defaults.
     pub(crate) fn plain(law_kind: &str, thickness_m: f64, density_kg_m3: f64, vs_m_s: f64) -> Self {
-        Self { thickness_m, density_kg_m3, vs_m_s, k0: 0.5, law_kind: law_kind.into(), law: Arc::default() }
+        Self {
+            thickness_m,
+            density_kg_m3,
+            vs_m_s,
+            k0: 0.5,
+            fineness: 1.0,
+            law_kind: law_kind.into(),
+            law: Arc::default(),
+        }
     }
 }
 
@@ -94,6 +113,13 @@ impl Profile {
         self.layers.iter().map(|l| l.thickness_m).sum()
     }
 
+    /// Share of the elements that each layer is to have, as far as their number allows.
+    pub fn shares(&self) -> Vec<f64> {
+        let weights: Vec<f64> = self.layers.iter().map(|l| l.thickness_m * l.fineness).collect();
+        let sum: f64 = weights.iter().sum();
+        weights.into_iter().map(|w| w / sum).collect()
+    }
+
     /// What is out of range, as (key, sentence).
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut problems = Vec::new();
@@ -108,6 +134,7 @@ impl Profile {
             check(key("density_kg_m3"), layer.density_kg_m3, " kg/m³", 1050.0, 3500.0);
             check(key("vs_m_s"), layer.vs_m_s, " m/s", 20.0, 5000.0);
             check(key("k0"), layer.k0, "", 0.1, 3.0);
+            check(key("fineness"), layer.fineness, "", 0.01, 100.0);
         }
         check("water_table_m".into(), self.water_table_m, " m", 0.0, 1e6);
         check("rayleigh.alpha_1_s".into(), self.rayleigh.alpha_1_s, " 1/s", 0.0, 100.0);

@@ -1,11 +1,12 @@
 //! Effects of the soil that replays follow beside its nuisances.
 
-use super::neighbours::Neighbours;
+use super::neighbours::{Neighbours, Replayed};
 use super::problem::Replay;
 use super::responses::Scene;
 use super::unknowns::{Nuisance, Unknowns, nuisances};
 use crate::effects::{self, Class, Instance};
 use crate::error::Result;
+use crate::numerics::threads::on_threads;
 use std::sync::Arc;
 
 /// Share of a typical size within which a replay tells nothing new.
@@ -91,16 +92,24 @@ impl Scene<'_> {
         let mut all = Neighbours::clone(known);
         // What tolerances of velocities have made up for is followed as they are.
         let is_made_up_for = |i: &Instance| self.is_stiff() && i.kind == "layer_velocity";
-        for (instance, coordinate) in wanted.iter().filter(|(i, _)| is_followable(i) && !is_made_up_for(i)) {
-            let Some(zero) = instance.zero().map(|z| z[0]) else { continue };
-            let known = all.axes.iter().find(|axis| axis.instance == **instance).map_or(&[][..], |axis| &axis.nodes);
+        let is_new = |instance: &Instance, zero: f64, coordinate: f64| {
+            let known = known.axes.iter().find(|axis| axis.instance == *instance).map_or(&[][..], |axis| &axis.nodes);
             let near = NEAR * instance.free[0].parameter.prior_sd;
-            if known.iter().any(|n| (coordinate - n.coordinate).abs() < near) || (coordinate - zero).abs() < near {
-                continue;
-            }
-            let mut tables = all.tables.clone();
-            tables.push(instance.at(&[*coordinate]));
-            self.follow(&mut all, replay, instance, (zero, &[(*coordinate, tables)]));
+            (coordinate - zero).abs() >= near && known.iter().all(|n| (coordinate - n.coordinate).abs() >= near)
+        };
+        let new: Vec<(&Instance, f64, f64)> = wanted
+            .iter()
+            .filter(|(i, _)| is_followable(i) && !is_made_up_for(i))
+            .filter_map(|(i, coordinate)| Some((*i, i.zero()?[0], *coordinate)))
+            .filter(|(i, zero, coordinate)| is_new(i, *zero, *coordinate))
+            .collect();
+        let run = |k: usize| {
+            let (instance, _, coordinate) = new[k];
+            let tables = [&known.tables[..], &[instance.at(&[coordinate])]].concat();
+            replay.replay_roughly(&tables).ok().map(|replayed| self.seen(&replayed))
+        };
+        for ((instance, zero, coordinate), seen) in new.iter().zip(on_threads(new.len(), run)) {
+            self.follow(&mut all, instance, (*zero, vec![(*coordinate, seen)]));
         }
         along.neighbours = Some(Arc::new(all));
         Ok(along)
@@ -134,23 +143,24 @@ impl Scene<'_> {
             let Some(zero) = instance.zero().map(|z| z[0]).filter(|_| is_own) else { continue };
             let [low, high] = instance.bounds()[0];
             let beyond = (x[own] + BEYOND * (x[own] - zero)).clamp(low, high);
-            let tables = [zero, beyond].map(|coordinate| {
+            let new: Vec<f64> = [zero, beyond].into_iter().filter(|coordinate| *coordinate != x[own]).collect();
+            let run = |k: usize| {
                 let mut x = x.to_vec();
-                x[own] = coordinate;
-                (coordinate, unknowns.tables(&x))
-            });
-            let new: Vec<_> = tables.into_iter().filter(|(coordinate, _)| *coordinate != x[own]).collect();
-            self.follow(all, replay, instance, (x[own], &new));
+                x[own] = new[k];
+                replay.replay_roughly(&unknowns.tables(&x)).ok().map(|replayed| self.seen(&replayed))
+            };
+            let seen = on_threads(new.len(), run);
+            self.follow(all, instance, (x[own], new.into_iter().zip(seen).collect()));
         }
     }
 
-    /// Adds an axis to `all`, on which their centre lies at `centre`; none where the column does not finish as it does there.
+    /// Adds an axis with these `replays` to `all`, on which their centre lies at `centre`; none where the column does not finish as it
+    /// does there.
     fn follow(
         &self,
         all: &mut Neighbours,
-        replay: &dyn Replay,
         instance: &Instance,
-        (centre, tables): (f64, &[(f64, Vec<toml::Table>)]),
+        (centre, replays): (f64, Vec<(f64, Option<Replayed>)>),
     ) {
         let known = all.axes.iter().position(|axis| axis.instance == *instance);
         let nuisances = nuisances(self.problem).unwrap_or_default();
@@ -160,14 +170,13 @@ impl Scene<'_> {
         let mut nodes = known.map_or(vec![centre], |i| all.axes[i].nodes.clone());
         let before = nodes.len();
         let mut new = Vec::new();
-        for (coordinate, tables) in tables {
-            let Ok(replayed) = replay.replay_roughly(tables) else { continue };
-            let seen = self.seen(&replayed);
+        for (coordinate, seen) in replays {
+            let Some(seen) = seen else { continue };
             let is_lost = |(centre, own): (&Option<_>, &Option<_>)| centre.is_some() && own.is_none();
             if all.replays[0].iter().flatten().zip(seen.iter().flatten()).any(is_lost) {
                 continue;
             }
-            nodes.push(Node { coordinate: *coordinate, replay: all.replays.len() + new.len(), from: 0 });
+            nodes.push(Node { coordinate, replay: all.replays.len() + new.len(), from: 0 });
             new.push(Arc::new(seen));
         }
         if nodes.len() > before {

@@ -7,6 +7,7 @@ use super::round::{Fitted, Plain};
 use super::search::{Model, Search};
 use crate::effects::Instance;
 use crate::error::Result;
+use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 
 /// Share of the best gain above which the runner-up is confirmed too.
@@ -70,18 +71,20 @@ impl Search<'_> {
                 .map(|(i, f)| (i, f.model.clone(), near.clone()))
                 .collect();
             for (round, most) in ROUGHLY.into_iter().enumerate() {
-                tries.retain_mut(|(i, model, anchor)| {
+                let run = |k: usize| {
+                    let (i, model, anchor) = &tries[k];
                     let again = || search.settle(&model.effects, model.x(), anchor, Some(model), ROUGH_STEPS);
                     // They come fitted.
                     let start = if round == 0 { Ok(model.clone()) } else { again() };
                     let found = start.and_then(|s| search.replayed(s, (None, anchor), (most, f64::INFINITY), progress));
                     // Where the column does not finish, the promise stands, and is judged by its replay.
-                    let Ok(found) = found else { return false };
-                    (*model, *anchor) = found;
+                    found.ok().map(|(model, anchor)| (*i, model, anchor))
+                };
+                tries = on_threads(tries.len(), run).into_iter().flatten().collect();
+                for (i, model, _) in &tries {
                     fitted[*i].model = model.clone();
                     fitted[*i].against = base.costs();
-                    true
-                });
+                }
                 tries.sort_by(|a, b| a.1.cost().total_cmp(&b.1.cost()));
                 tries.truncate(tries.len().div_ceil(2));
             }

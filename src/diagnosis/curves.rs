@@ -335,6 +335,7 @@ mod tests {
             density_kg_m3: 1900.0,
             vs_m_s: 150.0,
             k0: 0.5,
+            fineness: 1.0,
             law_kind: "sanisand".into(),
             law: parameters.clone().into(),
         };

@@ -56,10 +56,9 @@ struct Element {
 
 /// Elements that the declared `profile` needs up to `high_hz`.
 pub fn element_count(profile: &Profile, high_hz: f64) -> usize {
-    let depth_m = profile.depth_m();
-    let needed = profile.layers.iter().map(|l| {
+    let needed = profile.layers.iter().zip(profile.shares()).map(|(l, share)| {
         let height_m = l.vs_m_s / (PER_WAVE * high_hz);
-        if l.thickness_m <= 1.5 * height_m { 1.0 } else { (depth_m / height_m).ceil() }
+        if l.thickness_m <= 1.5 * height_m { 1.0 } else { (l.thickness_m / (height_m * share) - 1e-9).ceil() }
     });
     (needed.fold(1.0, f64::max) as usize).clamp(profile.layers.len(), MAX_ELEMENTS.max(profile.layers.len()))
 }

@@ -13,6 +13,7 @@ use super::velocities::{ln_velocity, velocity};
 use crate::column::Profile;
 use crate::effects::{self, Effect, Instance, Situation};
 use crate::error::Result;
+use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 use realfft::num_complex::Complex;
 use std::borrow::Cow;
@@ -115,30 +116,29 @@ impl Scene<'_> {
             replays: vec![Arc::new(self.seen(&replay.replay_roughly(&unknowns.tables(x))?))],
             centre: Vec::new(),
         };
-        progress.start("neighbours", (nuisances.len() + STRETCH.len()) as u64);
-        let run = |all: &mut Neighbours, nuisance: usize, deviations: f64| -> Result<usize> {
+        // Replay k of these becomes the replay k + 1 of `all`.
+        let mut moves: Vec<(usize, f64)> = Vec::new();
+        let mut to_run = |nuisance: usize, deviations: f64| {
+            moves.push((nuisance, deviations));
+            moves.len()
+        };
+        for (i, nuisance) in nuisances.iter().enumerate().filter(|(i, _)| Some(*i) != common) {
+            let Some(soil) = &mut all.soil[i] else { continue };
+            soil.up = Some(to_run(i, 1.0));
+            soil.down = (nuisance.instance.kind == "small_strain_damping").then(|| to_run(i, -1.0));
+        }
+        all.stretch = common.map(|common| STRETCH.map(|s| if s == 0.0 { 0 } else { to_run(common, s) }));
+        progress.start("neighbours", moves.len() as u64);
+        let run = |k: usize| -> Result<Arc<Replayed>> {
+            let (nuisance, deviations) = moves[k];
             let mut x = x.to_vec();
             x[nuisance] += deviations;
-            all.replays.push(Arc::new(self.seen(&replay.replay_roughly(&unknowns.tables(&x))?)));
+            let seen = self.seen(&replay.replay_roughly(&unknowns.tables(&x))?);
             progress.advance(1);
-            Ok(all.replays.len() - 1)
+            Ok(Arc::new(seen))
         };
-        for (i, nuisance) in nuisances.iter().enumerate().filter(|(i, n)| Some(*i) != common && n.is_shaken) {
-            let up = run(&mut all, i, 1.0)?;
-            let down =
-                if nuisance.instance.kind == "small_strain_damping" { Some(run(&mut all, i, -1.0)?) } else { None };
-            if let Some(soil) = &mut all.soil[i] {
-                (soil.up, soil.down) = (Some(up), down);
-            }
-        }
-        if let Some(common) = common {
-            let mut stretch = [0; STRETCH.len()];
-            for (place, s) in stretch.iter_mut().zip(STRETCH) {
-                *place = if s == 0.0 { 0 } else { run(&mut all, common, s)? };
-            }
-            all.stretch = Some(stretch);
-            all.find_shares(common);
-        }
+        all.replays.extend(on_threads(moves.len(), run).into_iter().collect::<Result<Vec<_>>>()?);
+        common.into_iter().for_each(|common| all.find_shares(common));
         all.keep_axes(self.neighbours.as_deref(), (nuisances, instances));
         self.follow_effects(&mut all, replay, &unknowns, x);
         let axes = all.axes.clone();

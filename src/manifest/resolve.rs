@@ -21,6 +21,7 @@ impl SiteSection {
                 density_kg_m3: layer.density_kg_m3,
                 vs_m_s: layer.vs_m_s,
                 k0: layer.k0,
+                fineness: layer.fineness,
                 law_kind,
                 law: law.into(),
             })

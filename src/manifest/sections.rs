@@ -109,7 +109,7 @@ fn default_pipeline() -> String {
 pub struct SiteSection {
     /// Depth of the input sensor, which is the base of the column, in m.
     pub depth_m: f64,
-    /// Finite elements over the depth.
+    /// Finite elements over the depth; layers have theirs by thickness and fineness.
     #[serde(default = "default_elements")]
     pub elements: usize,
     /// Depth of the water table in m; absent for a dry column.
@@ -145,6 +145,9 @@ pub struct LayerSection {
     /// Coefficient of earth pressure at rest.
     #[serde(default = "default_k0")]
     pub k0: f64,
+    /// Elements in a metre of this layer over those in a metre of a layer with 1: less than 1 where waves are longer.
+    #[serde(default = "default_fineness", skip_serializing_if = "is_default_fineness")]
+    pub fineness: f64,
     /// A name under `[law]`.
     pub law: String,
     /// Parameters of the law that differ in this layer.
@@ -155,6 +158,14 @@ pub struct LayerSection {
 
 fn default_k0() -> f64 {
     0.5
+}
+
+fn default_fineness() -> f64 {
+    1.0
+}
+
+fn is_default_fineness(fineness: &f64) -> bool {
+    *fineness == default_fineness()
 }
 
 /// Input sensor and output sensors.

@@ -7,3 +7,4 @@ pub mod lanes;
 pub mod random;
 pub mod resample;
 pub mod spectrum;
+pub mod threads;

@@ -131,14 +131,34 @@ fn refined(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnS
     sections
 }
 
-/// `sections` with no more elements than waves of the diagnosis' band need, or half as many again where they then end at every
-/// layer and sensor, and the steps of the manifest. Where they do not, an effect that cuts a layer also moves the others' elements,
-/// and its derivative is that of the mesh too.
+/// `sections` with no more elements than waves of the diagnosis' band need, and the steps of the manifest. Elements are of one height
+/// but where those of each layer's own waves are half as many.
 fn roughened(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+    let high_hz = settings.band_hz[1];
+    let even = evenly(&sections, high_hz);
+    let by_layer: Vec<usize> = sections.site.layer.iter().map(|l| per_wave(l.thickness_m, l.vs_m_s, high_hz)).collect();
+    let graded: usize = by_layer.iter().sum();
     let site = &mut sections.site;
+    if 2 * graded < even.min(site.elements) {
+        site.elements = graded;
+        site.layer.iter_mut().zip(by_layer).for_each(|(l, count)| l.fineness = count as f64 / l.thickness_m);
+    } else {
+        site.elements = site.elements.min(even);
+    }
+    sections
+}
+
+/// Elements that waves need in a layer, at least two.
+fn per_wave(thickness_m: f64, vs_m_s: f64, high_hz: f64) -> usize {
+    ((thickness_m * PER_WAVE * high_hz / vs_m_s).ceil() as usize).max(2)
+}
+
+/// Elements of one height that waves need in the slowest layer, or half as many again where they then end at every layer and sensor.
+/// Where they do not, an effect that cuts a layer also moves the others' elements, and its derivative is that of the mesh too.
+fn evenly(sections: &ColumnSections, high_hz: f64) -> usize {
+    let site = &sections.site;
     let slowest_m_s = site.layer.iter().map(|l| l.vs_m_s).fold(f64::INFINITY, f64::min);
-    let needed = (site.depth_m * PER_WAVE * settings.band_hz[1] / slowest_m_s).ceil() as usize;
-    let needed = needed.max(2 * site.layer.len());
+    let needed = per_wave(site.depth_m, slowest_m_s, high_hz).max(2 * site.layer.len());
     let mut depths_m: Vec<f64> = sections.sensors.output.iter().map(|s| s.depth_m).collect();
     depths_m.extend(site.layer.iter().scan(0.0, |depth_m, l| {
         *depth_m += l.thickness_m;
@@ -149,9 +169,7 @@ fn roughened(mut sections: ColumnSections, settings: &DiagnoseSettings) -> Colum
         (above - above.round()).abs() < 1e-6
     };
     let ends_at_all = |n: &usize| depths_m.iter().all(|depth_m| ends_at(depth_m, *n));
-    let count = (needed..=needed + needed / 2).find(ends_at_all).unwrap_or(needed);
-    site.elements = site.elements.min(count);
-    sections
+    (needed..=needed + needed / 2).find(ends_at_all).unwrap_or(needed)
 }
 
 fn problem(
@@ -262,5 +280,7 @@ mod tests {
         assert_eq!(of("lotung.toml"), [200, 34]);
         // 10 m to 130 m/s are 15, but a sensor is at 5 m and a layer ends at 4 m.
         assert_eq!(of("smoke.toml"), [20, 20]);
+        // Thick rock below soil: 2 + 26 + 4 + 12 + 8.
+        assert_eq!(of("fksh11.toml"), [120, 52]);
     }
 }

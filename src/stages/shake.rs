@@ -1,5 +1,5 @@
-//! The nonlinear column under true base motions. In a stage every run has a cache entry of its own, named by the column
-//! that is shaken, how it is stepped, and the motion: replays of different stages and manifests share them.
+//! The nonlinear column under true base motions. In a stage all motions that are asked for together have one cache entry, named by
+//! the columns that are shaken, how they are stepped, and the motions: replays of different stages and manifests share them.
 
 use crate::column::{Column, Profile};
 use crate::dataset::sensor_histories;
@@ -7,16 +7,17 @@ use crate::effects::{Effect, Situation};
 use crate::error::{Context, Error, Result};
 use crate::manifest::ColumnSections;
 use crate::numerics::resample::resample_band_limited;
+use crate::numerics::threads::on_threads;
 use crate::pipeline::{Item, Task, content_hash};
-use rayon::prelude::*;
-use std::collections::BTreeMap;
+use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Kind and version of the cache entries of single runs.
-const REPLAY: (&str, u32) = ("replayed", 3);
+/// Kind and version of the cache entries.
+const REPLAY: (&str, u32) = ("replayed", 4);
 const FILE: &str = "response_m_s2.f32";
+const CONTENTS: &str = "contents.toml";
 
 /// A true motion of the base.
 pub struct BaseMotion<'a> {
@@ -33,8 +34,8 @@ pub struct BaseMotion<'a> {
 /// True motions at the output sensors, `[sensor][step]` at the output step of the analysis, m/s²; or why there are none.
 pub type Response = Result<Vec<Vec<f64>>, String>;
 
-/// Shakes the column of `sections`, edited by `effects` alone and not by those of the manifest, with every motion; runs are
-/// cached where there is a `task`.
+/// Shakes the column of `sections`, edited by `effects` alone and not by those of the manifest, with every motion; cached where there
+/// is a `task`.
 ///
 /// # Errors
 /// When the column cannot be built or the cache cannot be read or written.
@@ -46,69 +47,104 @@ pub fn shake(
 ) -> Result<Vec<Response>> {
     let depths_m = sections.sensor_depths_m(effects);
     let declared = sections.declared_profile()?;
-    let mut columns: BTreeMap<String, Column> = BTreeMap::new();
-    let mut items = Vec::with_capacity(motions.len());
-    let mut keys = Vec::with_capacity(motions.len());
+    let mut profiles: Vec<Profile> = Vec::new();
+    let mut shaken: Vec<usize> = Vec::with_capacity(motions.len());
     for motion in motions {
         let mut profile = declared.clone();
         effects.iter().for_each(|e| e.edit(&mut profile, &motion.situation));
-        let parameters = parameters(&profile, sections, &depths_m)?;
-        let key = parameters.to_string();
-        if !columns.contains_key(&key) {
-            columns.insert(key.clone(), Column::new(&profile, &sections.analysis)?);
+        let known = profiles.iter().position(|p| *p == profile);
+        shaken.push(known.unwrap_or(profiles.len()));
+        if known.is_none() {
+            profiles.push(profile);
         }
-        items.push(item(motion, parameters));
-        keys.push(key);
     }
+    let columns = profiles.iter().map(|p| Column::new(p, &sections.analysis)).collect::<Result<Vec<_>>>()?;
     let run = |i: usize| -> Result<Vec<Vec<f64>>> {
         let motion = &motions[i];
         // Between the samples of a coarser record lies a band-limited motion, not a straight line.
         let dt_s = motion.dt_s.min(sections.analysis.output_step_s);
         let base_m_s2 = resample_band_limited(motion.acceleration_m_s2, motion.dt_s, dt_s);
-        let histories = sensor_histories(&columns[&keys[i]], dt_s, &base_m_s2, &depths_m)?;
+        let histories = sensor_histories(&columns[shaken[i]], dt_s, &base_m_s2, &depths_m)?;
         Ok(histories.into_iter().skip(1).collect())
     };
-    let Some(task) = task else {
-        return Ok((0..motions.len()).into_par_iter().map(|i| run(i).map_err(|e| e.to_string())).collect());
-    };
-    let outcomes = task.items(REPLAY.0, REPLAY.1, &items, |i, folder| write(&folder.join(FILE), &run(i)?))?;
-    outcomes
-        .into_iter()
-        .map(|outcome| match outcome.output {
-            Ok(folder) => Ok(Ok(read(&folder.join(FILE), depths_m.len())?)),
-            Err(reason) => Ok(Err(reason)),
-        })
-        .collect()
+    let run_all = || on_threads(motions.len(), |i| run(i).map_err(|e| e.to_string()));
+    let Some(task) = task else { return Ok(run_all()) };
+    let item = item(&profiles, &shaken, (sections, &depths_m), motions)?;
+    let outcome = task.items(REPLAY.0, REPLAY.1, &[item], |_, folder| write(folder, &run_all()))?;
+    let folder = outcome.into_iter().map(|o| o.output).next().unwrap_or_else(|| Err("nothing was computed".into()));
+    read(&folder.map_err(|reason| Error::new("the column cannot be shaken").cause(reason))?)
 }
 
-fn parameters(profile: &Profile, sections: &ColumnSections, depths_m: &[f64]) -> Result<Table> {
-    let table = |value: std::result::Result<Value, toml::ser::Error>| {
+/// Everything that a run of all `motions` depends on, each motion shaking the column of the profile that `shaken` names.
+fn item(
+    profiles: &[Profile],
+    shaken: &[usize],
+    (sections, depths_m): (&ColumnSections, &[f64]),
+    motions: &[BaseMotion<'_>],
+) -> Result<Item> {
+    let value = |value: std::result::Result<Value, toml::ser::Error>| {
         value.map_err(|e| Error::new("the column cannot be written as TOML").cause(e))
     };
-    Ok(Table::from_iter([
-        ("profile".to_string(), table(Value::try_from(profile))?),
-        ("analysis".to_string(), table(Value::try_from(&sections.analysis))?),
+    let motion = |(motion, profile): (&BaseMotion<'_>, &usize)| {
+        let mut bytes = motion.dt_s.to_le_bytes().to_vec();
+        bytes.extend(motion.acceleration_m_s2.iter().flat_map(|a| a.to_le_bytes()));
+        format!("{} on profile {profile}", content_hash(&bytes))
+    };
+    let parameters = Table::from_iter([
+        ("profile".to_string(), value(Value::try_from(profiles))?),
+        ("analysis".to_string(), value(Value::try_from(&sections.analysis))?),
         ("depth_m".to_string(), Value::from(depths_m.to_vec())),
-    ]))
+        ("motion".to_string(), Value::from(motions.iter().zip(shaken).map(motion).collect::<Vec<_>>())),
+    ]);
+    let id = motions.first().map_or(String::new(), |m| format!("{} and {} more", m.id, motions.len() - 1));
+    Ok(Item { id, parameters })
 }
 
-fn item(motion: &BaseMotion<'_>, mut parameters: Table) -> Item {
-    let mut bytes = motion.dt_s.to_le_bytes().to_vec();
-    bytes.extend(motion.acceleration_m_s2.iter().flat_map(|a| a.to_le_bytes()));
-    parameters.insert("motion".into(), Value::String(content_hash(&bytes)));
-    Item { id: motion.id.clone(), parameters }
+/// What a run left: how long each response is, or why there is none.
+#[derive(Serialize, Deserialize)]
+struct Contents {
+    response: Vec<Shape>,
 }
 
-/// Row after row in single precision, little end first.
-fn write(path: &Path, histories: &[Vec<f64>]) -> Result<()> {
-    let bytes: Vec<u8> = histories.iter().flatten().flat_map(|a| (*a as f32).to_le_bytes()).collect();
-    fs::write(path, bytes).context(|| format!("cannot write `{}`", path.display()))
+#[derive(Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+enum Shape {
+    SensorsAndSteps(usize, usize),
+    Failure(String),
 }
 
-fn read(path: &Path, n_sensor: usize) -> Result<Vec<Vec<f64>>> {
-    let bytes = fs::read(path).context(|| format!("cannot read `{}`", path.display()))?;
-    let values: Vec<f64> =
-        bytes.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]]))).collect();
-    let n_step = values.len() / n_sensor.max(1);
-    Ok(values.chunks_exact(n_step.max(1)).map(<[f64]>::to_vec).collect())
+/// Response after response, sensor after sensor in single precision, little end first.
+fn write(folder: &Path, responses: &[Response]) -> Result<()> {
+    let shape = |response: &Response| match response {
+        Ok(histories) => Shape::SensorsAndSteps(histories.len(), histories.first().map_or(0, Vec::len)),
+        Err(reason) => Shape::Failure(reason.clone()),
+    };
+    let contents = Contents { response: responses.iter().map(shape).collect() };
+    let values = responses.iter().flatten().flatten().flatten();
+    let bytes: Vec<u8> = values.flat_map(|a| (*a as f32).to_le_bytes()).collect();
+    let save = |name: &str, bytes: &[u8]| {
+        let path = folder.join(name);
+        fs::write(&path, bytes).context(|| format!("cannot write `{}`", path.display()))
+    };
+    let text = toml::to_string(&contents).context(|| "the contents cannot be written as TOML".into())?;
+    save(CONTENTS, text.as_bytes())?;
+    save(FILE, &bytes)
+}
+
+fn read(folder: &Path) -> Result<Vec<Response>> {
+    let load = |name: &str| {
+        let path = folder.join(name);
+        fs::read(&path).context(|| format!("cannot read `{}`", path.display()))
+    };
+    let text = String::from_utf8(load(CONTENTS)?).context(|| format!("cannot read `{CONTENTS}`"))?;
+    let contents: Contents = toml::from_str(&text).context(|| format!("cannot read `{CONTENTS}`"))?;
+    let bytes = load(FILE)?;
+    let mut values = bytes.chunks_exact(4).map(|b| f64::from(f32::from_le_bytes([b[0], b[1], b[2], b[3]])));
+    let response = |shape: Shape| match shape {
+        Shape::SensorsAndSteps(sensors, steps) => {
+            Ok((0..sensors).map(|_| values.by_ref().take(steps).collect()).collect())
+        }
+        Shape::Failure(reason) => Err(reason),
+    };
+    Ok(contents.response.into_iter().map(response).collect())
 }

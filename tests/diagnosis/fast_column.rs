@@ -10,7 +10,15 @@ use std::f64::consts::TAU;
 type C64 = Complex<f64>;
 
 fn layer(thickness_m: f64, density_kg_m3: f64, vs_m_s: f64) -> Layer {
-    Layer { thickness_m, density_kg_m3, vs_m_s, k0: 0.5, law_kind: "elastic".into(), law: Default::default() }
+    Layer {
+        thickness_m,
+        density_kg_m3,
+        vs_m_s,
+        k0: 0.5,
+        fineness: 1.0,
+        law_kind: "elastic".into(),
+        law: Default::default(),
+    }
 }
 
 /// Absolute surface over base acceleration of Rayleigh-damped layers on a rigid base; mass damping acts on the motion relative

@@ -31,6 +31,7 @@ pub fn profile(elements: usize) -> Profile {
                 density_kg_m3: 1900.0,
                 vs_m_s: *vs_m_s,
                 k0: 0.5,
+                fineness: 1.0,
                 law_kind: "hyperbolic".into(),
                 law: law().into(),
             })

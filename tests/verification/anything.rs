@@ -64,6 +64,7 @@ fn any_layer() -> impl Strategy<Value = Layer> {
             density_kg_m3,
             vs_m_s,
             k0,
+            fineness: 1.0,
             law_kind,
             law: law.into(),
         },

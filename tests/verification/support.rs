@@ -6,7 +6,7 @@ use std::sync::Arc;
 /// A layer with a law table written as TOML.
 pub fn layer(thickness_m: f64, density_kg_m3: f64, vs_m_s: f64, law_kind: &str, law: &str) -> Layer {
     let law = Arc::new(law.parse().expect("a TOML table"));
-    Layer { thickness_m, density_kg_m3, vs_m_s, k0: 0.5, law_kind: law_kind.into(), law }
+    Layer { thickness_m, density_kg_m3, vs_m_s, k0: 0.5, fineness: 1.0, law_kind: law_kind.into(), law }
 }
 
 /// A profile of these layers.
