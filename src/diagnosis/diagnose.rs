@@ -82,13 +82,15 @@ fn is_enough(diagnosis: &Diagnosis) -> bool {
     diagnosis.verdict != Verdict::Unknown && diagnosis.effects.iter().all(|f| f.is_standing)
 }
 
-/// Whether `one` leaves less than `other`, or no more than noise with fewer effects.
+/// Whether `one` explains the records and leaves less than `other`, or no more than noise with fewer effects. Where most of the records
+/// has no explanation, what is left says nothing of a sensor, and low frequencies do.
 fn is_better(one: &Diagnosis, other: &Diagnosis) -> bool {
     let left = |d: &Diagnosis| d.corrected.train.max(d.corrected.validation).max(CLEAN);
-    match left(one).total_cmp(&left(other)) {
-        Ordering::Equal => one.effects.len() < other.effects.len(),
-        order => order.is_lt(),
-    }
+    let order = match left(one).total_cmp(&left(other)) {
+        Ordering::Equal => one.effects.len().cmp(&other.effects.len()),
+        order => order,
+    };
+    one.verdict != Verdict::Unknown && order.is_lt()
 }
 
 /// What the declared model and its `declared` effects lack.
@@ -406,5 +408,29 @@ impl Path {
                 table: f.instance.at(own),
             }
         }));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn low_frequencies_give_way_only_to_what_explains_the_records() {
+        let of = |verdict: &str, left: f64| -> Diagnosis {
+            let excess = json!({ "train": left, "validation": left });
+            serde_json::from_value(json!({
+                "verdict": verdict, "effects": [], "ambiguity": [], "nuisances": [], "corrected_nuisances": [],
+                "candidates": [], "explained_share": null, "input_coherent_share": null, "declared": excess,
+                "recalibrated": excess, "corrected": excess, "tolerance_alarms": [], "upper_bounds": [], "notes": [],
+                "remainder": { "edges_hz": [], "sensor_band": {}, "event": [] },
+            }))
+            .expect("a diagnosis")
+        };
+        let stands = of("unknown", 5000.0);
+        assert!(is_better(&of("known", 4000.0), &stands) && !is_better(&of("known", 6000.0), &stands));
+        assert!(!is_better(&of("unknown", 4000.0), &stands), "neither explains the records");
+        assert!(!is_better(&of("none", 1.0), &of("known", 0.0)), "both leave noise, and neither names more");
     }
 }
