@@ -328,11 +328,14 @@ impl Search<'_> {
         if self.tolerance(fitted).is_some_and(|(_, x)| x.abs() < TOLERATED) {
             return true;
         }
+        // A range of depths of its own may be off by as much as those that are declared.
+        let alike = self.nuisances.iter().filter(|n| n.instance.kind == fitted.instance.kind);
+        let declared = alike.map(|n| n.deviation).fold(0.0, f64::max);
         let free = &fitted.instance.free;
         free.iter()
             .zip(own)
             .zip(&zero)
-            .all(|((f, x), zero)| f.zero.is_none() || (x - zero).abs() < TRIVIAL * f.parameter.prior_sd)
+            .all(|((f, x), zero)| f.zero.is_none() || (x - zero).abs() < declared.max(TRIVIAL * f.parameter.prior_sd))
     }
 }
 
@@ -343,4 +346,33 @@ pub fn parameters(instance: &Instance) -> f64 {
 
 fn joined(x: &[f64], start: &[f64]) -> Vec<f64> {
     x.iter().chain(start).copied().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::judged;
+    use super::*;
+    use crate::diagnosis::DiagnoseSettings;
+
+    #[test]
+    fn what_a_tolerance_allows_is_no_effect() {
+        let (problem, settings) = (judged(""), DiagnoseSettings::default());
+        let scene = Scene::new(&problem, &settings).unwrap();
+        let search = Search::new(&scene, &settings, None).unwrap();
+        let is_trivial = |kind: &str, x: &[f64]| {
+            let instance = search.instances.iter().find(|i| i.kind == kind).unwrap().clone();
+            let all = [&vec![0.0; search.nuisances.len()], x].concat();
+            let model = search.settle(std::slice::from_ref(&instance), &all, &Anchor::fast(&scene), None, 0).unwrap();
+            let (against, plain) = (model.costs(), None);
+            let (gain, validation_gain, is_confirmed) = (0.0, 0.0, false);
+            search.is_trivial(&Fitted { instance, model, gain, validation_gain, is_confirmed, against, plain })
+        };
+        // Half of the depth may be off by a standard deviation of what is declared, all of the damping by three.
+        assert_eq!(
+            [0.03, -0.03, 0.06, -0.15].map(|ln| is_trivial("layer_velocity", &[ln])),
+            [true, true, false, false]
+        );
+        assert_eq!([1.8, 3.0].map(|f: f64| is_trivial("small_strain_damping", &[f.ln()])), [true, false]);
+        assert!(!is_trivial("sensor_polarity", &[]));
+    }
 }
