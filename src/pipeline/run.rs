@@ -259,6 +259,7 @@ impl<'a> Crew<'a> {
         }
         let seconds = start.elapsed().as_secs_f64();
         let records = task.records.into_inner().unwrap_or_else(PoisonError::into_inner);
+        let records = records.into_iter().flatten().collect();
         if store.publish(&known.parts, records, seconds)? == Published::Replaced && was_sound {
             let text = "gave other bytes than before from the same inputs; should its version be bumped?";
             self.reporter.event(&Event::Warning { stage, text });

@@ -56,7 +56,7 @@ pub struct OutputFile {
 }
 
 /// One item of an entry: where it lies, or why it does not.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub struct ItemRecord {
     /// Name of the item within its stage.
     pub id: String,

@@ -6,7 +6,7 @@ use super::{Address, ItemRecord, Outputs, Store};
 use crate::error::{Context, Error, Result};
 use crate::progress::Progress;
 use serde::de::DeserializeOwned;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use toml::Table;
@@ -44,7 +44,8 @@ pub struct Task<'a> {
     pub(super) permits: &'a Permits,
     pub(super) is_forced: bool,
     pub(super) progress: &'a dyn Progress,
-    pub(super) records: Mutex<Vec<ItemRecord>>,
+    /// By ensemble; sorted, since several may be computed at once and end in any order.
+    pub(super) records: Mutex<BTreeSet<Vec<ItemRecord>>>,
 }
 
 impl Task<'_> {
@@ -185,7 +186,7 @@ impl Task<'_> {
             compute: &compute,
         };
         let records = ensemble.run(kind, version, items)?;
-        self.records.lock().unwrap_or_else(PoisonError::into_inner).extend(records.iter().cloned());
+        self.records.lock().unwrap_or_else(PoisonError::into_inner).insert(records.clone());
         Ok(records.into_iter().map(|record| outcome(self.store, record)).collect())
     }
 }
