@@ -38,6 +38,7 @@ pub use failure::{Cause, Failure};
 pub use features::{Container, Features, RateZone, Slip, SofteningZone, Structure};
 pub use linear::Slice;
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
+pub(crate) use profile::{is_uniform, uniform};
 pub use run::{Frame, RunSummary};
 
 use crate::error::Result;

@@ -47,11 +47,13 @@ pub struct Layer {
     pub law: Arc<toml::Table>,
 }
 
-fn uniform() -> f64 {
+/// The fineness of a layer that says nothing of it.
+pub(crate) fn uniform() -> f64 {
     1.0
 }
 
-fn is_uniform(fineness: &f64) -> bool {
+/// Whether a layer need not say its fineness.
+pub(crate) fn is_uniform(fineness: &f64) -> bool {
     *fineness == uniform()
 }
 

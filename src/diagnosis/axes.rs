@@ -106,7 +106,7 @@ impl Scene<'_> {
         let run = |k: usize| {
             let (instance, _, coordinate) = new[k];
             let tables = [&known.tables[..], &[instance.at(&[coordinate])]].concat();
-            replay.replay_roughly(&tables).ok().map(|replayed| self.seen(&replayed))
+            self.seen_roughly(replay, &tables).ok()
         };
         for ((instance, zero, coordinate), seen) in new.iter().zip(on_threads(new.len(), run)) {
             self.follow(&mut all, instance, (*zero, vec![(*coordinate, seen)]));
@@ -147,7 +147,7 @@ impl Scene<'_> {
             let run = |k: usize| {
                 let mut x = x.to_vec();
                 x[own] = new[k];
-                replay.replay_roughly(&unknowns.tables(&x)).ok().map(|replayed| self.seen(&replayed))
+                self.seen_roughly(replay, &unknowns.tables(&x)).ok()
             };
             let seen = on_threads(new.len(), run);
             self.follow(all, instance, (x[own], new.into_iter().zip(seen).collect()));

@@ -420,13 +420,7 @@ mod tests {
     fn low_frequencies_give_way_only_to_what_explains_the_records() {
         let of = |verdict: &str, left: f64| -> Diagnosis {
             let excess = json!({ "train": left, "validation": left });
-            serde_json::from_value(json!({
-                "verdict": verdict, "effects": [], "ambiguity": [], "nuisances": [], "corrected_nuisances": [],
-                "candidates": [], "explained_share": null, "input_coherent_share": null, "declared": excess,
-                "recalibrated": excess, "corrected": excess, "tolerance_alarms": [], "upper_bounds": [], "notes": [],
-                "remainder": { "edges_hz": [], "sensor_band": {}, "event": [] },
-            }))
-            .expect("a diagnosis")
+            Diagnosis::made_up(json!({ "verdict": verdict, "corrected": excess }))
         };
         let stands = of("unknown", 5000.0);
         assert!(is_better(&of("known", 4000.0), &stands) && !is_better(&of("known", 6000.0), &stands));

@@ -113,7 +113,7 @@ impl Scene<'_> {
             axes: Vec::new(),
             soil: nuisances.iter().map(|n| n.is_shaken.then(|| Soil::of(n))).collect(),
             stretch: None,
-            replays: vec![Arc::new(self.seen(&replay.replay_roughly(&unknowns.tables(x))?))],
+            replays: vec![Arc::new(self.seen_roughly(replay, &unknowns.tables(x))?)],
             centre: Vec::new(),
         };
         // Replay k of these becomes the replay k + 1 of `all`.
@@ -133,7 +133,7 @@ impl Scene<'_> {
             let (nuisance, deviations) = moves[k];
             let mut x = x.to_vec();
             x[nuisance] += deviations;
-            let seen = self.seen(&replay.replay_roughly(&unknowns.tables(&x))?);
+            let seen = self.seen_roughly(replay, &unknowns.tables(&x))?;
             progress.advance(1);
             Ok(Arc::new(seen))
         };
@@ -160,7 +160,15 @@ impl Scene<'_> {
         Ok(anchor)
     }
 
-    pub(super) fn seen(&self, replays: &[Option<Vec<Vec<f64>>>]) -> Replayed {
+    /// A rough replay under `effects`, as records are seen.
+    ///
+    /// # Errors
+    /// When it is impossible.
+    pub(super) fn seen_roughly(&self, replay: &dyn Replay, effects: &[toml::Table]) -> Result<Replayed> {
+        Ok(self.seen(&replay.replay_roughly(effects)?))
+    }
+
+    fn seen(&self, replays: &[Option<Vec<Vec<f64>>>]) -> Replayed {
         let of = |g: usize, r: usize| {
             let record = &self.groups[g].records[r];
             let window = record.window.clone();

@@ -189,3 +189,19 @@ pub struct Thresholds {
     /// Gains of the best effect of each null twin, rising.
     pub null_gains: Vec<f64>,
 }
+
+#[cfg(test)]
+impl Diagnosis {
+    /// One that found nothing and leaves nothing, but for the `given` keys.
+    pub(crate) fn made_up(given: serde_json::Value) -> Self {
+        let none = serde_json::json!({ "train": 0.0, "validation": 0.0 });
+        let mut all = serde_json::json!({
+            "verdict": "none", "effects": [], "ambiguity": [], "nuisances": [], "corrected_nuisances": [],
+            "candidates": [], "explained_share": null, "input_coherent_share": null, "declared": none,
+            "recalibrated": none, "corrected": none, "tolerance_alarms": [], "upper_bounds": [], "notes": [],
+            "remainder": { "edges_hz": [], "sensor_band": {}, "event": [] },
+        });
+        given.as_object().into_iter().flatten().for_each(|(key, value)| all[key] = value.clone());
+        serde_json::from_value(all).expect("a diagnosis")
+    }
+}

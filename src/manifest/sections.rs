@@ -1,7 +1,7 @@
 //! The typed sections of a site manifest.
 
 use super::Problem;
-use crate::column::{Analysis, Rayleigh, Vertical};
+use crate::column::{self, Analysis, Rayleigh, Vertical};
 use crate::diagnosis::DiagnoseSettings;
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings};
 use crate::motion::MotionSettings;
@@ -146,7 +146,7 @@ pub struct LayerSection {
     #[serde(default = "default_k0")]
     pub k0: f64,
     /// Elements in a metre of this layer over those in a metre of a layer with 1: less than 1 where waves are longer.
-    #[serde(default = "default_fineness", skip_serializing_if = "is_default_fineness")]
+    #[serde(default = "column::uniform", skip_serializing_if = "column::is_uniform")]
     pub fineness: f64,
     /// A name under `[law]`.
     pub law: String,
@@ -158,14 +158,6 @@ pub struct LayerSection {
 
 fn default_k0() -> f64 {
     0.5
-}
-
-fn default_fineness() -> f64 {
-    1.0
-}
-
-fn is_default_fineness(fineness: &f64) -> bool {
-    *fineness == default_fineness()
 }
 
 /// Input sensor and output sensors.

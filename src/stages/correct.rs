@@ -107,15 +107,10 @@ mod tests {
             json!({ "kind": kind, "target": "", "class": "sensor", "table": { "kind": kind }, "parameters": {},
                 "gain": 1.0, "validation_gain": 1.0, "is_standing": is_standing })
         };
-        let none = json!({ "train": 0.0, "validation": 0.0 });
-        serde_json::from_value(json!({
-            "verdict": verdict, "effects": effects.iter().map(found).collect::<Vec<_>>(), "ambiguity": [],
-            "nuisances": [{ "kind": "alone" }], "corrected_nuisances": [{ "kind": "beside" }], "candidates": [],
-            "explained_share": null, "input_coherent_share": null, "declared": none, "recalibrated": none,
-            "corrected": none, "tolerance_alarms": [], "upper_bounds": [], "notes": [],
-            "remainder": { "edges_hz": [], "sensor_band": {}, "event": [] },
+        Diagnosis::made_up(json!({
+            "verdict": verdict, "effects": effects.iter().map(found).collect::<Vec<_>>(),
+            "nuisances": [{ "kind": "alone" }], "corrected_nuisances": [{ "kind": "beside" }],
         }))
-        .expect("a diagnosis")
     }
 
     #[test]
