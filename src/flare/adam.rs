@@ -1,5 +1,6 @@
 //! Adam with a learning rate per group of parameters, and the schedule of the rate over the epochs.
 
+use super::kernels::{Kernel, dispatch};
 use std::ops::Range;
 
 /// First and second moments of the gradient, and how many steps were taken since the last restart.
@@ -39,14 +40,40 @@ impl Adam {
         let correction_1 = 1.0 - f64::from(BETA_1).powi(self.step as i32);
         let correction_2 = (1.0 - f64::from(BETA_2).powi(self.step as i32)).sqrt() as f32;
         for (range, rate) in groups {
-            let rate = (rate / correction_1) as f32;
-            let state = self.first[range.clone()].iter_mut().zip(&mut self.second[range.clone()]);
-            for ((p, g), (m, v)) in parameters[range.clone()].iter_mut().zip(&gradient[range.clone()]).zip(state) {
-                let g = g * scale;
-                *m = BETA_1 * *m + (1.0 - BETA_1) * g;
-                *v = BETA_2 * *v + (1.0 - BETA_2) * g * g;
-                *p -= rate * *m / (v.sqrt() / correction_2 + EPSILON);
-            }
+            dispatch(Step {
+                first: &mut self.first[range.clone()],
+                second: &mut self.second[range.clone()],
+                parameters: &mut parameters[range.clone()],
+                gradient: &gradient[range.clone()],
+                scale,
+                rate: (rate / correction_1) as f32,
+                correction_2,
+            });
+        }
+    }
+}
+
+/// One step of a group of parameters.
+struct Step<'a> {
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+    parameters: &'a mut [f32],
+    gradient: &'a [f32],
+    scale: f32,
+    rate: f32,
+    correction_2: f32,
+}
+
+impl Kernel for Step<'_> {
+    type Out = ();
+    #[inline(always)]
+    fn run<const FMA: bool>(self) {
+        let state = self.first.iter_mut().zip(self.second);
+        for ((p, g), (m, v)) in self.parameters.iter_mut().zip(self.gradient).zip(state) {
+            let g = g * self.scale;
+            *m = BETA_1 * *m + (1.0 - BETA_1) * g;
+            *v = BETA_2 * *v + (1.0 - BETA_2) * g * g;
+            *p -= self.rate * *m / (v.sqrt() / self.correction_2 + EPSILON);
         }
     }
 }

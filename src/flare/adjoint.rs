@@ -49,7 +49,7 @@ impl Kernel for Reverse<'_> {
         let mut pulled = vec![Lanes::ZERO; r];
         let mut lambda = vec![Lanes::ZERO; r];
         for t in (1..n_step).rev() {
-            lambda.iter_mut().zip(&self.dz[t * r..]).for_each(|(l, d)| add(l, d));
+            lambda.iter_mut().zip(&self.dz[t * r..]).for_each(|(l, d)| l.add::<FMA>(d));
             for lane in 0..LANES {
                 if t >= self.trajectory.valid[lane] {
                     lambda.iter_mut().for_each(|l| l.0[lane] = 0.0);
@@ -77,7 +77,7 @@ impl Kernel for Reverse<'_> {
                     self.trajectory.limits.pull_back(z, &mut pulled);
                 }
                 for k in 0..r {
-                    add(&mut total[k], &pulled[k]);
+                    total[k].add::<FMA>(&pulled[k]);
                 }
             }
             let theta_of = |s: usize| &theta[s * m..(s + 1) * m];
@@ -85,14 +85,7 @@ impl Kernel for Reverse<'_> {
             accumulate_outer::<FMA, 4>([0, 1, 2, 3].map(theta_of), [0, 1, 2, 3].map(g_of), r, self.dxi); // (2)
             std::mem::swap(&mut lambda, &mut total);
         }
-        self.dz.iter_mut().zip(&lambda).for_each(|(d, l)| add(d, l));
-    }
-}
-
-#[inline(always)]
-fn add(to: &mut Lanes, from: &Lanes) {
-    for (a, b) in to.0.iter_mut().zip(&from.0) {
-        *a += b;
+        self.dz.iter_mut().zip(&lambda).for_each(|(d, l)| d.add::<FMA>(l));
     }
 }
 

@@ -28,17 +28,36 @@ impl Lanes {
         self.0.iter().sum()
     }
 
+    /// `self += x`.
+    #[inline(always)]
+    pub fn add<const FMA: bool>(&mut self, x: &Self) {
+        self.add_scaled::<FMA>(x, 1.0);
+    }
+
     /// `self += x · s`.
     #[inline(always)]
     pub fn add_scaled<const FMA: bool>(&mut self, x: &Self, s: f32) {
-        for (a, x) in self.0.iter_mut().zip(&x.0) {
-            *a = fused::<FMA>(*x, s, *a);
-        }
+        self.add_product::<FMA>(x, &Self::splat(s));
     }
 
     /// `self += x · y`, lane by lane.
     #[inline(always)]
     pub fn add_product<const FMA: bool>(&mut self, x: &Self, y: &Self) {
+        #[cfg(target_arch = "x86_64")]
+        if FMA {
+            use std::arch::x86_64::{_mm256_fmadd_ps, _mm256_load_ps, _mm256_store_ps};
+            // SAFETY: `FMA` is set by `dispatch` alone, where AVX2 and FMA were detected; lanes are aligned to 32 bytes.
+            // Written out because the compiler takes larger blocks of such sums apart into single numbers.
+            unsafe {
+                let sum = _mm256_fmadd_ps(
+                    _mm256_load_ps(x.0.as_ptr()),
+                    _mm256_load_ps(y.0.as_ptr()),
+                    _mm256_load_ps(self.0.as_ptr()),
+                );
+                _mm256_store_ps(self.0.as_mut_ptr(), sum);
+            }
+            return;
+        }
         for ((a, x), y) in self.0.iter_mut().zip(&x.0).zip(&y.0) {
             *a = fused::<FMA>(*x, *y, *a);
         }
@@ -94,16 +113,17 @@ pub fn dispatch<K: Kernel>(kernel: K) -> K::Out {
 /// `e^x` for `x ≤ 0` to 2 ulp: range reduction by ln 2 and a degree-6 polynomial, free of branches so that it vectorises.
 #[inline(always)]
 fn exp_nonpositive<const FMA: bool>(x: f32) -> f32 {
-    const ROUND: f32 = 12_582_912.0; // 1.5·2^23: adding it rounds to the nearest integer
+    const ROUND: f32 = 12_582_912.0; // 1.5·2^23: adding it rounds to an integer, which then ends the mantissa
     let x = x.max(-87.0);
-    let n = fused::<FMA>(x, std::f32::consts::LOG2_E, ROUND) - ROUND;
+    let rounded = fused::<FMA>(x, std::f32::consts::LOG2_E, ROUND);
+    let n = rounded - ROUND;
     let r = fused::<FMA>(n, 2.121_944_4e-4, fused::<FMA>(n, -0.693_359_4, x));
     let mut p = 1.987_569_1e-4;
     for c in [1.398_2e-3, 8.333_452e-3, 4.166_579_6e-2, 0.166_666_65, 0.5] {
         p = fused::<FMA>(p, r, c);
     }
     let p = fused::<FMA>(p * r, r, r) + 1.0;
-    f32::from_bits((p.to_bits() as i32 + ((n as i32) << 23)) as u32)
+    f32::from_bits(p.to_bits().wrapping_add(rounded.to_bits() << 23))
 }
 
 /// Adds the bias to each row and applies ELU: `y = v` for `v > 0`, else `e^v − 1`.
@@ -143,6 +163,39 @@ impl Kernel for EluSlope<'_> {
         for (d, y) in self.cotangent.iter_mut().zip(self.output) {
             *d *= 1.0 + y.min(0.0);
         }
+    }
+}
+
+/// Squared error of one row; `decoded` becomes `scale · error`.
+pub struct SquareError<'a> {
+    /// Response, overwritten.
+    pub decoded: &'a mut [f32],
+    /// What it should be, same shape.
+    pub target: &'a [f32],
+    /// Factor on the error.
+    pub scale: f32,
+}
+
+impl Kernel for SquareError<'_> {
+    type Out = f64;
+    #[inline(always)]
+    fn run<const FMA: bool>(self) -> f64 {
+        let mut sum = Lanes::ZERO;
+        let (decoded, decoded_end) = self.decoded.as_chunks_mut::<LANES>();
+        let (target, target_end) = self.target.as_chunks::<LANES>();
+        decoded.iter_mut().zip(target).for_each(|(d, t)| square_errors(&mut sum, d, t, self.scale));
+        square_errors(&mut sum, decoded_end, target_end, self.scale);
+        f64::from(sum.sum())
+    }
+}
+
+/// At most one number a lane.
+#[inline(always)]
+fn square_errors(sum: &mut Lanes, decoded: &mut [f32], target: &[f32], scale: f32) {
+    for ((s, d), t) in sum.0.iter_mut().zip(decoded).zip(target) {
+        let error = *d - t;
+        *s += error * error;
+        *d = scale * error;
     }
 }
 

@@ -30,6 +30,9 @@ pub const ENERGY: [f32; 3] = [1.0, 30.0, 0.03];
 /// Most outputs whose sums are kept in registers at once.
 const BLOCK: usize = 7;
 
+/// Most equations whose sums over two terms are kept in registers at once.
+const OUTER: usize = 5;
+
 impl Library {
     /// Number of terms, `2 + r + r(r+1)/2`, `r + 1` for each memory and `r` for each energy level.
     pub fn n_term(&self) -> usize {
@@ -175,9 +178,7 @@ impl Library {
             }
         }
         for i in 0..r {
-            for (d, w) in dz[i].0.iter_mut().zip(&work[1 + i].0) {
-                *d += w;
-            }
+            dz[i].add::<FMA>(&work[1 + i]);
         }
         let mut p = 1 + r;
         for i in 0..r {
@@ -227,20 +228,21 @@ pub fn accumulate_outer<const FMA: bool, const S: usize>(
     r: usize,
     dxi: &mut [Lanes],
 ) {
+    let width = r.div_ceil(r.div_ceil(OUTER));
     for (pair, rows) in dxi.chunks_mut(2 * r).enumerate() {
         let p = 2 * pair;
         let mut k = 0;
         while k < r {
-            if rows.len() == 2 * r && k + 5 <= r {
-                outer_block::<FMA, S, 2, 5>(&theta, &g, p, k, r, rows);
-                k += 5;
-            } else if rows.len() == 2 * r {
-                outer_block::<FMA, S, 2, 1>(&theta, &g, p, k, r, rows);
-                k += 1;
-            } else {
-                outer_block::<FMA, S, 1, 1>(&theta, &g, p, k, r, rows);
-                k += 1;
+            let n = if rows.len() == 2 * r { width.min(r - k) } else { 1 };
+            match (rows.len() == 2 * r, n) {
+                (true, 1) => outer_block::<FMA, S, 2, 1>(&theta, &g, p, k, r, rows),
+                (true, 2) => outer_block::<FMA, S, 2, 2>(&theta, &g, p, k, r, rows),
+                (true, 3) => outer_block::<FMA, S, 2, 3>(&theta, &g, p, k, r, rows),
+                (true, 4) => outer_block::<FMA, S, 2, 4>(&theta, &g, p, k, r, rows),
+                (true, _) => outer_block::<FMA, S, 2, OUTER>(&theta, &g, p, k, r, rows),
+                (false, _) => outer_block::<FMA, S, 1, 1>(&theta, &g, p, k, r, rows),
             }
+            k += n;
         }
     }
 }
@@ -267,8 +269,7 @@ fn outer_block<const FMA: bool, const S: usize, const P: usize, const K: usize>(
     }
     for i in 0..P {
         for j in 0..K {
-            let to = &mut rows[i * r + k + j];
-            to.0.iter_mut().zip(&sums[i][j].0).for_each(|(a, b)| *a += b);
+            rows[i * r + k + j].add::<FMA>(&sums[i][j]);
         }
     }
 }

@@ -11,11 +11,11 @@
 use super::adjoint::reverse;
 use super::case::Case;
 use super::integrator::{Forcing, Trajectory, rollout};
-use super::kernels::{LANES, Lanes, dispatch};
+use super::kernels::{LANES, Lanes, SquareError, dispatch};
 use super::memory::Drive;
 use super::mlp::Tape;
 use super::model::Shape;
-use super::residuals::{EquationResidual, latent_residual, square_error};
+use super::residuals::{EquationResidual, latent_residual};
 use super::settings::LossWeights;
 use rayon::prelude::*;
 
@@ -192,10 +192,10 @@ impl Objective<'_> {
             let end = segment.start + n_step;
             for t in segment.start..end {
                 let window = &case.dense[(t + 1 - length) * channels..(t + 1) * channels];
-                s.windows.extend(window.iter().map(|v| v * segment.sign));
+                append(&mut s.windows, window, segment.sign);
             }
             let target = &case.dense[segment.start * channels..end * channels];
-            s.target.extend(target.iter().map(|v| v * segment.sign));
+            append(&mut s.target, target, segment.sign);
             s.forcing.set(lane, &self.drives[segment.case], segment.start..end, segment.sign);
         }
     }
@@ -212,10 +212,23 @@ impl Objective<'_> {
                 let (lane, t) = (row / n_step, row % n_step);
                 let weight = self.case_weight[chunk[lane].case];
                 let is_valid = half == 0 || t < s.trajectory.valid[lane];
-                let scale = if is_valid { (2.0 * factor * f64::from(weight) / count) as f32 } else { 0.0 };
-                s.terms[half] += f64::from(weight) * square_error(decoded, target, is_valid, scale) / count;
+                let mut scale = (2.0 * factor * f64::from(weight) / count) as f32;
+                if !is_valid {
+                    scale = 0.0;
+                    decoded.fill(0.0); // counts as a response of zero, which no parameter moves
+                }
+                s.terms[half] += f64::from(weight) * dispatch(SquareError { decoded, target, scale }) / count;
             }
         }
+    }
+}
+
+/// Appends `values`, mirrored for the sign −1.
+fn append(to: &mut Vec<f32>, values: &[f32], sign: f32) {
+    if sign > 0.0 {
+        to.extend_from_slice(values);
+    } else {
+        to.extend(values.iter().map(|v| -v));
     }
 }
 

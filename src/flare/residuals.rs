@@ -1,21 +1,8 @@
-//! The single terms of the stage-1 loss with their cotangents: response, latent state, latent equation.
+//! The single terms of the stage-1 loss with their cotangents: latent state and latent equation.
 
 use super::integrator::{Forcing, Trajectory};
 use super::kernels::{Kernel, LANES, Lanes};
 use super::library::{Library, accumulate_outer, transpose};
-
-/// Sum of squared errors of one row; `decoded` becomes `scale · error`. An invalid row counts as a response of zero.
-pub fn square_error(decoded: &mut [f32], target: &[f32], is_valid: bool, scale: f32) -> f64 {
-    let mut sum = [0.0_f32; 8];
-    for (d, t) in decoded.chunks_mut(8).zip(target.chunks(8)) {
-        for ((s, d), t) in sum.iter_mut().zip(d).zip(t) {
-            let error = if is_valid { *d - t } else { -t };
-            *s += error * error;
-            *d = scale * error;
-        }
-    }
-    f64::from(sum.iter().sum::<f32>())
-}
 
 /// Latent error `MSE(ẑ, sg z)` over the valid samples; its cotangent is added to `dz_roll`.
 pub fn latent_residual(
