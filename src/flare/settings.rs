@@ -110,29 +110,6 @@ impl Default for PretrainSettings {
 }
 
 impl PretrainSettings {
-    /// The same sizes trained as published: no linear start, no weighting, no mirroring, constant rates. The batch and the
-    /// weights of the terms, which were not published, are those of the benchmark.
-    #[must_use]
-    pub fn as_published(&self) -> Self {
-        Self {
-            final_segments: self.segments,
-            batch: 32,
-            loss: LossWeights { reconstruction: 1.0, rollout: 1.0, latent: 0.1, equation: 0.1, sparsity: 1e-4 },
-            dynamics_learning_rate: self.learning_rate,
-            final_rate_share: 1.0,
-            amplitude_weighting: 0.0,
-            linear_start: false,
-            memories: Memories::default(),
-            hidden: 0,
-            energy_levels: 0,
-            mirror: false,
-            jitter: false,
-            limit_factor: 0.0,
-            polish_steps: 0,
-            ..self.clone()
-        }
-    }
-
     /// Every value out of range, with its key.
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut list = Problems::default();

@@ -61,7 +61,7 @@ impl Manifest {
                 };
                 let records_dir = site.records.as_ref().and_then(|r| r.dir.as_ref()).map(|d| resolve("records.dir", d));
                 let truth = site.records.as_ref().and_then(|r| r.truth.as_ref()).map(|d| resolve("records.truth", d));
-                Ok(Self { site, path: path.to_path_buf(), text, records_dir, truth })
+                Ok(Self { site: site.with_recipe(), path: path.to_path_buf(), text, records_dir, truth })
             }
             _ => Err(document.error(problems, &overridden)),
         }
@@ -80,5 +80,23 @@ impl Manifest {
             records.truth = self.truth.as_ref().map(text);
         }
         toml::Table::try_from(&site).map_err(|e| Error::new("cannot write the manifest as TOML").cause(e))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_recipe_of_a_manifest_is_what_its_stages_train_by() {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/smoke.toml");
+        let load = |overrides: &[String]| Manifest::load(&path, overrides).map(|m| m.site);
+        let own = load(&[]).expect("a sound site");
+        assert_eq!(own, load(&["recipe=tuned".into()]).expect("the default by name"));
+        let published = load(&["recipe=published".into()]).expect("a sound site");
+        assert!(published.pretrain == own.pretrain.as_published() && published.pretrain != own.pretrain);
+        assert!(published.calibrate == own.calibrate.as_published() && published.distill == own.distill.as_published());
+        let refused = load(&["recipe=secret".into()]).expect_err("no such recipe").to_string();
+        assert!(refused.contains("recipe") && refused.contains("published"), "{refused}");
     }
 }

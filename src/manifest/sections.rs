@@ -3,7 +3,7 @@
 use super::Problem;
 use crate::column::{self, Analysis, Rayleigh, Vertical};
 use crate::diagnosis::DiagnoseSettings;
-use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings};
+use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings, Recipe};
 use crate::motion::MotionSettings;
 use crate::records::RecordSettings;
 use schemars::JsonSchema;
@@ -23,6 +23,9 @@ pub struct Site {
     /// A file of `pipelines/`, without `.toml`.
     #[serde(default = "default_pipeline")]
     pub pipeline: String,
+    /// How the three stages are trained: `tuned`, as their sections say, or `published`, without what was added since.
+    #[serde(default)]
+    pub recipe: Recipe,
     /// Profile, mesh and boundary of the soil column.
     pub site: SiteSection,
     /// Constitutive laws by name, each with its `kind` and parameters.
@@ -87,6 +90,17 @@ pub struct ColumnSections {
 }
 
 impl Site {
+    /// The same site with the training sections as its recipe has them.
+    #[must_use]
+    pub fn with_recipe(mut self) -> Self {
+        if self.recipe == Recipe::Published {
+            self.pretrain = self.pretrain.as_published();
+            self.distill = self.distill.as_published();
+            self.calibrate = self.calibrate.as_published();
+        }
+        self
+    }
+
     /// The sections that make the column.
     pub fn column(&self) -> ColumnSections {
         ColumnSections {
