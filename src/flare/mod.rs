@@ -40,6 +40,10 @@
 //! | centrifuge (r = 8): no hidden state | 0.0046 | 12.8 | 18 | 0.0060 |
 //! | centrifuge: 6 hidden states (its manifest) | 0.0023 | 8.7 | 14 | 0.0032 |
 //!
+//! All of it together against the published recipe (`--set recipe=published`) on the same simulations of Lotung: median 12.7
+//! instead of 31.1 %, the largest motion 39 instead of 58, stage 3 0.076 and 0.060 instead of 0.143 and 0.088; it is at 26 %
+//! after 47 s and at 13 % after 113 s of 156 s on two cores, where the published recipe ends after 32 s.
+//!
 //! The last rows come from `flare-pipe run SITE --until evaluate --set pretrain.hidden=N`. What limits the rest: encoding and
 //! decoding alone leave 2 % on weak and 14 % on strong motions of Lotung, rolling out 11 and 39 %, on training motions
 //! hardly less: the equations, not the manifold and not the number of motions. Resonators driven by `u` as further inputs, two
