@@ -3,11 +3,12 @@
 use super::anchor::Anchor;
 use super::centre::centre;
 use super::hygiene::suspicion;
+use super::needless::{DETAIL, PAYS};
 use super::outcome::{Candidate, Diagnosis, Thresholds, Verdict};
 use super::problem::{Problem, Replay};
 use super::relaxed::STIFFNESS;
 use super::responses::Scene;
-use super::round::{Fitted, Ground, Plain, parameters};
+use super::round::{Fitted, Ground, Plain};
 use super::search::{CLEAN, Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
@@ -28,15 +29,6 @@ const LOOKS: [usize; 2] = [2, 3];
 const SURPRISE: f64 = 1.0;
 /// Share of the excess over noise that a look must leave at most for another to be worth it: more is wrong than tolerances.
 const WORTHWHILE: f64 = 0.7;
-/// Share of the gain of an effect below which nothing else is an effect of its own: described to a tenth of what it does to the
-/// motions, an effect leaves a hundredth of what it gained.
-const DETAIL: f64 = 0.01;
-/// Most replays of a model without one of its effects.
-const REPLAYS: usize = 6;
-/// Most looks around a model with its effects: the replays around a place say less of the next, and a valley is walked in steps.
-const POLISHES: usize = 3;
-/// Share of the excess over noise that a look must leave at most for another to follow.
-const PAYS: f64 = 0.9;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -138,23 +130,20 @@ fn diagnose_rest(
         if path.corrected.is_strained() {
             path.stiffen(&mut scene, (STIFFNESS, settings), replay)?;
         }
+        let before = path.accepted.len();
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
         progress.advance(1);
         if !is_found {
+            // Something is left that no further effect explains: one of those there may stand in for another that has moved.
+            if before > 1 {
+                Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
+                path.say_once(&mut scene, settings, replay, progress)?;
+            }
             break;
         }
+        let base = path.recalibrated.cost();
         let kept = path.accepted.len();
-        for _ in 0..POLISHES {
-            let before = path.corrected.clone();
-            let anchor = scene.look_around(replay, settings, (&before.effects, before.x()), progress)?;
-            let search = Search::new(&scene, settings, Some(replay))?;
-            (path.corrected, path.anchor) =
-                search.settled(&before.effects, before.x(), (anchor, MAX_ANCHORS), progress)?;
-            progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), path.corrected.cost()));
-            if path.corrected.is_clean() || path.corrected.excess() > PAYS * before.excess() {
-                break;
-            }
-        }
+        (path.corrected, path.anchor) = scene.polished(path.corrected.clone(), replay, settings, progress)?;
         Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
         if path.accepted.len() == kept {
             let here = (path.corrected.clone(), path.anchor.clone());
@@ -167,7 +156,12 @@ fn diagnose_rest(
         (path.corrected, path.anchor) = scene.relaxed(here, replay, settings, progress)?;
         let is_left =
             path.corrected.is_strained() || path.corrected.surprise().into_iter().any(|s| s > thresholds.excess);
-        if !is_left || path.accepted.len() < kept {
+        // The search for an effect that was none after all may have led to better tolerances, from which others look different.
+        let has_better_base = path.accepted.is_empty() && path.corrected.cost() < PAYS * base;
+        if has_better_base {
+            path.recalibrated = path.corrected.clone();
+        }
+        if !is_left || (path.accepted.len() < kept && !has_better_base) {
             break;
         }
     }
@@ -338,40 +332,6 @@ impl Search<'_> {
             confirmed: None,
             rival: None,
         })
-    }
-
-    /// Takes out effects that would raise no alarm any more: later ones, or the replays around them, have made them needless.
-    fn drop_needless(&self, path: &mut Path, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
-        let mut index = 0;
-        while index < path.accepted.len() {
-            let dropped = &path.corrected.effects[index].clone();
-            // Its velocities may have been the tolerances' all along.
-            let (effects, mut x) = self.without(&path.corrected.effects, path.corrected.x(), index)?;
-            self.unknowns(&effects).clip(&mut x);
-            let mut without = (self.settle(&effects, &x, &path.anchor, None, STEPS)?, path.anchor.clone());
-            if !effects.is_empty() {
-                let (start, anchor) = without;
-                let at_stake = path.corrected.cost();
-                without = self.replayed_until_settled(start, (None, &anchor), (REPLAYS, at_stake), progress)?;
-            }
-            let level = path.corrected.level().max(1.0);
-            let [gain, least] = if self.scene.is_stiff() && without.0.is_clean() && path.corrected.is_clean() {
-                [self.plainer(&without.0, &path.corrected, dropped), thresholds.gain]
-            } else {
-                let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
-                let detail = DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max);
-                let fall = (without.0.cost() - path.corrected.cost()) / level;
-                [fall - self.charge() * parameters(dropped), thresholds.gain.max(detail)]
-            };
-            if gain < least {
-                progress.note(&format!("{} {} gains {gain:.0} no more", dropped.kind, dropped.place()));
-                (path.corrected, path.anchor) = without;
-                path.accepted.remove(index);
-            } else {
-                index += 1;
-            }
-        }
-        Ok(())
     }
 }
 

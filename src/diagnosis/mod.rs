@@ -35,6 +35,7 @@ mod line;
 mod low_frequency;
 #[cfg(test)]
 mod made_up;
+mod needless;
 mod neighbours;
 mod noise;
 mod null_twins;

@@ -1,0 +1,146 @@
+//! Replays around a model with its effects, and whether it needs them all.
+
+use super::anchor::Anchor;
+use super::diagnose::Path;
+use super::outcome::Thresholds;
+use super::problem::Replay;
+use super::responses::Scene;
+use super::round::parameters;
+use super::search::{Model, Search};
+use super::settings::DiagnoseSettings;
+use super::settling::MAX_ANCHORS;
+use crate::error::Result;
+use crate::progress::Progress;
+
+/// Share of the gain of an effect below which nothing else is an effect of its own: described to a tenth of what it does to the
+/// motions, an effect leaves a hundredth of what it gained.
+pub(super) const DETAIL: f64 = 0.01;
+/// Share of the excess over noise that a look must leave at most for another to follow.
+pub(super) const PAYS: f64 = 0.9;
+/// Most steps of a fit.
+const STEPS: usize = 6;
+/// Most replays of a model without one of its effects.
+const REPLAYS: usize = 6;
+/// Most looks around a model with its effects: the replays around a place say less of the next, and a valley is walked in steps.
+const POLISHES: usize = 3;
+
+impl Scene<'_> {
+    /// `model` settled with replays around it, and around where that leads, as long as it pays. These are followed from then on.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn polished(
+        &mut self,
+        mut model: Model,
+        replay: &dyn Replay,
+        settings: &DiagnoseSettings,
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let mut looks = 0;
+        loop {
+            let before = model;
+            let anchor = self.look_around(replay, settings, (&before.effects, before.x()), progress)?;
+            let search = Search::new(self, settings, Some(replay))?;
+            let (now, anchor) = search.settled(&before.effects, before.x(), (anchor, MAX_ANCHORS), progress)?;
+            progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), now.cost()));
+            looks += 1;
+            if looks == POLISHES || now.is_clean() || now.excess() > PAYS * before.excess() {
+                return Ok((now, anchor));
+            }
+            model = now;
+        }
+    }
+}
+
+impl Search<'_> {
+    /// Takes out effects that would raise no alarm any more: later ones, or the replays around them, have made them needless.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn drop_needless(
+        &self,
+        path: &mut Path,
+        thresholds: &Thresholds,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let mut index = 0;
+        while index < path.accepted.len() {
+            let (model, anchor) = self.fitted_without(path, index)?;
+            let mut without = (model, anchor);
+            if !without.0.effects.is_empty() {
+                let (start, anchor) = without;
+                let at_stake = path.corrected.cost();
+                without = self.replayed_until_settled(start, (None, &anchor), (REPLAYS, at_stake), progress)?;
+            }
+            if self.is_needless(path, index, &without.0, thresholds) {
+                path.take_out(index, without, progress);
+            } else {
+                index += 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// The model without one of its effects, whose velocities may have been the tolerances' all along.
+    fn fitted_without(&self, path: &Path, index: usize) -> Result<(Model, Anchor)> {
+        let (effects, mut x) = self.without(&path.corrected.effects, path.corrected.x(), index)?;
+        self.unknowns(&effects).clip(&mut x);
+        Ok((self.settle(&effects, &x, &path.anchor, None, STEPS)?, path.anchor.clone()))
+    }
+
+    /// Whether the effect of `path` at `index` would raise no alarm beside `without`.
+    fn is_needless(&self, path: &Path, index: usize, without: &Model, thresholds: &Thresholds) -> bool {
+        let own = &path.corrected.effects[index];
+        if self.scene.is_stiff() && without.is_clean() && path.corrected.is_clean() {
+            return self.plainer(without, &path.corrected, own) < thresholds.gain;
+        }
+        let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
+        let detail = DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max);
+        path.fall(without) - self.charge() * parameters(own) < thresholds.gain.max(detail)
+    }
+}
+
+impl Path {
+    fn take_out(&mut self, index: usize, without: (Model, Anchor), progress: &dyn Progress) {
+        let own = &self.corrected.effects[index];
+        progress.note(&format!("{} {} gains {:.0} no more", own.kind, own.place(), self.fall(&without.0)));
+        (self.corrected, self.anchor) = without;
+        self.accepted.remove(index);
+    }
+
+    /// By how much `other` costs more than the corrected model, in units of the level of what is left.
+    fn fall(&self, other: &Model) -> f64 {
+        (other.cost() - self.corrected.cost()) / self.corrected.level().max(1.0)
+    }
+
+    /// Where the same kind is there twice, takes out one that the other can stand for once it is seen from replays around itself:
+    /// what lies between two places was found at neither. The second of a kind is a detail of the first where it does a hundredth
+    /// of what both do.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn say_once(
+        &mut self,
+        scene: &mut Scene<'_>,
+        settings: &DiagnoseSettings,
+        replay: &dyn Replay,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let mut index = 0;
+        while index < self.accepted.len() {
+            let kind = self.corrected.effects[index].kind;
+            if self.corrected.effects.iter().filter(|e| e.kind == kind).count() > 1 {
+                let around_both = scene.clone();
+                let (alone, _) = Search::new(scene, settings, Some(replay))?.fitted_without(self, index)?;
+                let without = scene.polished(alone, replay, settings, progress)?;
+                if self.fall(&without.0) < DETAIL * self.fall(&self.recalibrated) {
+                    self.take_out(index, without, progress);
+                    continue;
+                }
+                *scene = around_both;
+            }
+            index += 1;
+        }
+        Ok(())
+    }
+}
