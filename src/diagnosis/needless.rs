@@ -9,6 +9,7 @@ use super::round::parameters;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
+use crate::effects::{self, Class, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -113,7 +114,7 @@ impl Path {
         (other.cost() - self.corrected.cost()) / self.corrected.level().max(1.0)
     }
 
-    /// Where the same kind is there twice, takes out one that the other can stand for once it is seen from replays around itself:
+    /// Where an effect of the soil is there twice, takes out one that the other can stand for once it is seen from replays around itself:
     /// what lies between two places was found at neither. The second of a kind is a detail of the first where it does a hundredth
     /// of what both do.
     ///
@@ -128,8 +129,9 @@ impl Path {
     ) -> Result<()> {
         let mut index = 0;
         while index < self.accepted.len() {
-            let kind = self.corrected.effects[index].kind;
-            if self.corrected.effects.iter().filter(|e| e.kind == kind).count() > 1 {
+            let own = &self.corrected.effects[index];
+            let is_soil = effects::find(own.kind)?.catalogue.class == Class::Soil;
+            if is_soil && self.corrected.effects.iter().filter(|e| is_alike(e, own)).count() > 1 {
                 let around_both = scene.clone();
                 let (alone, _) = Search::new(scene, settings, Some(replay))?.fitted_without(self, index)?;
                 let without = scene.polished(alone, replay, settings, progress)?;
@@ -142,5 +144,32 @@ impl Path {
             index += 1;
         }
         Ok(())
+    }
+}
+
+/// Whether two effects are the same but for their places and sizes.
+fn is_alike(one: &Instance, other: &Instance) -> bool {
+    let names = |e: &Instance| e.free.iter().map(|f| f.parameter.name).collect::<Vec<_>>();
+    one.kind == other.kind && names(one) == names(other)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::Array;
+
+    #[test]
+    fn seams_at_two_depths_are_alike_and_two_dampings_are_not() {
+        let array = Array {
+            profile: crate::column::Profile::plain(vec![crate::column::Layer::plain("elastic", 10.0, 1800.0, 200.0)]),
+            input: "base".into(),
+            outputs: vec!["top".into()],
+            depths_m: vec![0.0],
+            components: vec!["EW".into()],
+        };
+        let of = |kind: &str| (effects::find(kind).expect("a kind").catalogue.instances)(&array);
+        let (seams, dampings) = (of("thin_seam"), of("frequency_dependent_damping"));
+        assert!(seams.len() > 1 && is_alike(&seams[0], &seams[1]) && seams[0] != seams[1]);
+        assert!(dampings.len() > 1 && !is_alike(&dampings[0], &dampings[1]));
     }
 }
