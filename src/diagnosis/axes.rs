@@ -4,7 +4,7 @@ use super::neighbours::{Neighbours, Replayed};
 use super::problem::Replay;
 use super::responses::Scene;
 use super::unknowns::{Nuisance, Unknowns, nuisances};
-use crate::effects::{self, Class, Instance};
+use crate::effects::{Class, Instance};
 use crate::error::Result;
 use crate::numerics::threads::on_threads;
 use std::sync::Arc;
@@ -77,8 +77,7 @@ impl Axis {
 
 /// Whether replays can follow `instance`.
 pub(super) fn is_followable(instance: &Instance) -> bool {
-    let is_soil = effects::find(instance.kind).is_ok_and(|e| e.catalogue.class == Class::Soil);
-    is_soil && instance.free.len() == 1 && instance.zero().is_some()
+    instance.class() == Class::Soil && instance.free.len() == 1 && instance.zero().is_some()
 }
 
 impl Scene<'_> {
@@ -197,7 +196,7 @@ mod tests {
 
     #[test]
     fn along_an_axis_replays_are_met() {
-        let parameter = &effects::find("frequency_dependent_damping").unwrap().catalogue.parameters[0];
+        let parameter = &crate::effects::find("frequency_dependent_damping").unwrap().catalogue.parameters[0];
         let instance = Instance::new("frequency_dependent_damping", [], vec![Free::new(parameter, 0.5)]);
         let node = |(coordinate, replay)| Node { coordinate, replay, from: 0 };
         let axis = Axis::new(&instance, [(2.0, 7), (0.0, 0), (1.0, 5)].map(node).to_vec(), 0.0);

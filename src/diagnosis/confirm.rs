@@ -100,9 +100,8 @@ impl Search<'_> {
     fn seen_from_there(&self, wanted: &Model, progress: &dyn Progress) -> Result<(Model, Anchor)> {
         let Some(replay) = self.replay else { return Ok((wanted.clone(), Anchor::fast(self.scene))) };
         let mut there = self.scene.clone();
-        let anchor = there.look_around(replay, self.settings, (&wanted.effects, wanted.x()), progress)?;
-        let search = Search::new(&there, self.settings, self.replay)?;
-        let found = search.settled(&wanted.effects, wanted.x(), (anchor, REPLAYS), progress)?.0;
+        let place = (&wanted.effects[..], wanted.x());
+        let found = there.settled_around(place, (replay, REPLAYS), self.settings, progress)?.0;
         self.seen(&found)
     }
 

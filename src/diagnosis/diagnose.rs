@@ -16,13 +16,12 @@ use super::standing::{Standing, beside, decided, labels, others, standing};
 use super::together::together;
 use super::unknowns::{MAX_DEVIATIONS, nuisances};
 use super::verdict;
-use crate::effects;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
 use std::cmp::Ordering;
 
 /// Most steps of a fit.
-const STEPS: usize = 6;
+pub(super) const STEPS: usize = 6;
 /// Looks around, at least and at most: the first near the declared soil, the others at the recalibrated one.
 const LOOKS: [usize; 2] = [2, 3];
 /// Standard deviations by which costs exceed those of noise where the last of them is taken.
@@ -359,7 +358,7 @@ impl Path {
             Candidate {
                 kind: f.instance.kind.to_string(),
                 target: f.instance.place(),
-                class: effects::find(f.instance.kind).map_or(effects::Class::Soil, |e| e.catalogue.class),
+                class: f.instance.class(),
                 gain: f.gain,
                 validation_gain: f.validation_gain,
                 explained_share: ((self.recalibrated.cost() - f.model.cost()) / excess).clamp(0.0, 1.0),

@@ -1,7 +1,7 @@
 //! Replays around a model with its effects, and whether it needs them all.
 
 use super::anchor::Anchor;
-use super::diagnose::Path;
+use super::diagnose::{Path, STEPS};
 use super::outcome::Thresholds;
 use super::problem::Replay;
 use super::responses::Scene;
@@ -9,7 +9,7 @@ use super::round::parameters;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use crate::effects::{self, Class, Instance};
+use crate::effects::Class;
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -18,8 +18,6 @@ use crate::progress::Progress;
 pub(super) const DETAIL: f64 = 0.01;
 /// Share of the excess over noise that a look must leave at most for another to follow.
 pub(super) const PAYS: f64 = 0.9;
-/// Most steps of a fit.
-const STEPS: usize = 6;
 /// Most replays of a model without one of its effects.
 const REPLAYS: usize = 6;
 /// Most looks around a model with its effects: the replays around a place say less of the next, and a valley is walked in steps.
@@ -40,9 +38,8 @@ impl Scene<'_> {
         let mut looks = 0;
         loop {
             let before = model;
-            let anchor = self.look_around(replay, settings, (&before.effects, before.x()), progress)?;
-            let search = Search::new(self, settings, Some(replay))?;
-            let (now, anchor) = search.settled(&before.effects, before.x(), (anchor, MAX_ANCHORS), progress)?;
+            let place = (&before.effects[..], before.x());
+            let (now, anchor) = self.settled_around(place, (replay, MAX_ANCHORS), settings, progress)?;
             progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), now.cost()));
             looks += 1;
             if looks == POLISHES || now.is_clean() || now.excess() > PAYS * before.excess() {
@@ -66,13 +63,13 @@ impl Search<'_> {
     ) -> Result<()> {
         let mut index = 0;
         while index < path.accepted.len() {
-            let (model, anchor) = self.fitted_without(path, index)?;
-            let mut without = (model, anchor);
-            if !without.0.effects.is_empty() {
-                let (start, anchor) = without;
+            let fitted = self.fitted_without(path, index)?;
+            let without = if fitted.effects.is_empty() {
+                (fitted, path.anchor.clone())
+            } else {
                 let at_stake = path.corrected.cost();
-                without = self.replayed_until_settled(start, (None, &anchor), (REPLAYS, at_stake), progress)?;
-            }
+                self.replayed_until_settled(fitted, (None, &path.anchor), (REPLAYS, at_stake), progress)?
+            };
             if self.is_needless(path, index, &without.0, thresholds) {
                 path.take_out(index, without, progress);
             } else {
@@ -83,10 +80,10 @@ impl Search<'_> {
     }
 
     /// The model without one of its effects, whose velocities may have been the tolerances' all along.
-    fn fitted_without(&self, path: &Path, index: usize) -> Result<(Model, Anchor)> {
+    fn fitted_without(&self, path: &Path, index: usize) -> Result<Model> {
         let (effects, mut x) = self.without(&path.corrected.effects, path.corrected.x(), index)?;
         self.unknowns(&effects).clip(&mut x);
-        Ok((self.settle(&effects, &x, &path.anchor, None, STEPS)?, path.anchor.clone()))
+        self.settle(&effects, &x, &path.anchor, None, STEPS)
     }
 
     /// Whether the effect of `path` at `index` would raise no alarm beside `without`.
@@ -130,10 +127,10 @@ impl Path {
         let mut index = 0;
         while index < self.accepted.len() {
             let own = &self.corrected.effects[index];
-            let is_soil = effects::find(own.kind)?.catalogue.class == Class::Soil;
-            if is_soil && self.corrected.effects.iter().filter(|e| is_alike(e, own)).count() > 1 {
+            let is_twice = self.corrected.effects.iter().filter(|e| e.is_alike(own)).count() > 1;
+            if is_twice && own.class() == Class::Soil {
                 let around_both = scene.clone();
-                let (alone, _) = Search::new(scene, settings, Some(replay))?.fitted_without(self, index)?;
+                let alone = Search::new(scene, settings, Some(replay))?.fitted_without(self, index)?;
                 let without = scene.polished(alone, replay, settings, progress)?;
                 if self.fall(&without.0) < DETAIL * self.fall(&self.recalibrated) {
                     self.take_out(index, without, progress);
@@ -144,32 +141,5 @@ impl Path {
             index += 1;
         }
         Ok(())
-    }
-}
-
-/// Whether two effects are the same but for their places and sizes.
-fn is_alike(one: &Instance, other: &Instance) -> bool {
-    let names = |e: &Instance| e.free.iter().map(|f| f.parameter.name).collect::<Vec<_>>();
-    one.kind == other.kind && names(one) == names(other)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::effects::Array;
-
-    #[test]
-    fn seams_at_two_depths_are_alike_and_two_dampings_are_not() {
-        let array = Array {
-            profile: crate::column::Profile::plain(vec![crate::column::Layer::plain("elastic", 10.0, 1800.0, 200.0)]),
-            input: "base".into(),
-            outputs: vec!["top".into()],
-            depths_m: vec![0.0],
-            components: vec!["EW".into()],
-        };
-        let of = |kind: &str| (effects::find(kind).expect("a kind").catalogue.instances)(&array);
-        let (seams, dampings) = (of("thin_seam"), of("frequency_dependent_damping"));
-        assert!(seams.len() > 1 && is_alike(&seams[0], &seams[1]) && seams[0] != seams[1]);
-        assert!(dampings.len() > 1 && !is_alike(&dampings[0], &dampings[1]));
     }
 }

@@ -47,9 +47,7 @@ impl Scene<'_> {
             };
             let Some((effects, x)) = elsewhere else { break };
             let mut there = self.clone();
-            let around = there.look_around(replay, settings, (&effects, &x), progress)?;
-            let found =
-                Search::new(&there, settings, Some(replay))?.settled(&effects, &x, (around, MAX_ANCHORS), progress)?;
+            let found = there.settled_around((&effects, &x), (replay, MAX_ANCHORS), settings, progress)?;
             if found.0.cost() < model.cost() - worthwhile(&model, settings) || is_plainer(&found.0, &model) {
                 ((model, anchor), *self) = (found, there);
             } else if !is_rival {
@@ -81,10 +79,7 @@ impl Search<'_> {
     /// The places next to that of the last effect of `model`, and its own.
     fn places(&self, model: &Model) -> Result<Vec<Place>> {
         let Some((last, others)) = model.effects.split_last() else { return Ok(Vec::new()) };
-        // The value of one parameter says nothing of another's.
-        let names = |i: &Instance| i.free.iter().map(|f| f.parameter.name).collect::<Vec<_>>();
-        let is_alike = |i: &&Instance| i.kind == last.kind && names(i) == names(last);
-        let alike: Vec<&Instance> = self.instances.iter().filter(is_alike).collect();
+        let alike: Vec<&Instance> = self.instances.iter().filter(|i| i.is_alike(last)).collect();
         let (Some(here), Some(zero)) = (alike.iter().position(|i| *i == last), last.zero()) else {
             return Ok(Vec::new());
         };

@@ -1,7 +1,10 @@
 //! Fits and replays in turn, until a replay finds what the fit before has promised.
 
 use super::anchor::Anchor;
+use super::problem::Replay;
+use super::responses::Scene;
 use super::search::{Model, Search};
+use super::settings::DiagnoseSettings;
 use crate::effects::Instance;
 use crate::error::Result;
 use crate::progress::Progress;
@@ -14,6 +17,23 @@ pub(super) const MAX_ANCHORS: usize = 10;
 const MAX_FAILURES: usize = 3;
 /// Hold on a fit after the first replay that did not keep what the fit promised, and its growth with each more.
 const HOLD: [f64; 2] = [10.0, 10.0];
+
+impl Scene<'_> {
+    /// The model with `effects` settled from `x` with replays around it, which are followed from then on, and `most` replays more.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn settled_around(
+        &mut self,
+        (effects, x): (&[Instance], &[f64]),
+        (replay, most): (&dyn Replay, usize),
+        settings: &DiagnoseSettings,
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let anchor = self.look_around(replay, settings, (effects, x), progress)?;
+        Search::new(self, settings, Some(replay))?.settled(effects, x, (anchor, most), progress)
+    }
+}
 
 impl Search<'_> {
     /// Fits from `x` and its `anchor`, replays, and fits again as long as that helps, `most` times at most.

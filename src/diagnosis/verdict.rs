@@ -10,7 +10,7 @@ use super::round::Fitted;
 use super::screen::{Marginal, derivative};
 use super::search::{Model, Search, square};
 use super::unknowns::nuisance_tables;
-use crate::effects::{self, Class};
+use crate::effects;
 use crate::error::Result;
 use std::collections::BTreeMap;
 
@@ -197,7 +197,7 @@ fn found(search: &Search<'_>, path: &Path, deviations: &[f64]) -> Vec<Found> {
         Found {
             kind: instance.kind.to_string(),
             target: instance.place(),
-            class: effects::find(instance.kind).map_or(Class::Soil, |e| e.catalogue.class),
+            class: instance.class(),
             table: instance.at(&x[own]),
             parameters,
             gain: accepted.gain,

@@ -183,6 +183,17 @@ impl Instance {
         self.kind == other.kind && self.target == other.target
     }
 
+    /// Whether it is the same effect at whatever place: the value of one parameter says nothing of another's.
+    pub fn is_alike(&self, other: &Self) -> bool {
+        let names = |i: &Self| i.free.iter().map(|f| f.parameter.name).collect::<Vec<_>>();
+        self.kind == other.kind && names(self) == names(other)
+    }
+
+    /// What it acts on.
+    pub fn class(&self) -> Class {
+        super::find(self.kind).map_or(Class::Soil, |e| e.catalogue.class)
+    }
+
     /// The `[[effects]]` table at the given values of the free parameters.
     pub fn table(&self, values: &[f64]) -> toml::Table {
         let mut table = toml::Table::from_iter([("kind".to_string(), Value::from(self.kind))]);

@@ -189,3 +189,11 @@ fn a_sensor_that_does_not_exist_is_named_with_the_nearest() {
     let error = check_names(&[table], &array()).unwrap_err();
     assert!(error.to_string().contains("no sensor `tpo`") && error.hint_text().unwrap().contains("nearest: `top`"));
 }
+
+#[test]
+fn seams_at_two_depths_are_alike_and_two_dampings_are_not() {
+    let of = |kind: &str| (find(kind).unwrap().catalogue.instances)(&array());
+    let (seams, dampings) = (of("thin_seam"), of("frequency_dependent_damping"));
+    assert!(seams.len() > 1 && seams[0].is_alike(&seams[1]) && seams[0] != seams[1]);
+    assert!(dampings.len() > 1 && !dampings[0].is_alike(&dampings[1]));
+}

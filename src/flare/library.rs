@@ -117,7 +117,7 @@ impl Library {
     #[inline(always)]
     pub fn combine<const FMA: bool>(&self, theta: &[Lanes], xi: &[f32], out: &mut [Lanes]) {
         let r = self.latent;
-        let width = r.div_ceil(r.div_ceil(BLOCK));
+        let width = even_width(r, BLOCK);
         let mut k = 0;
         while k < r {
             let n = width.min(r - k);
@@ -192,6 +192,11 @@ impl Library {
     }
 }
 
+/// Width of the fewest blocks of at most `most` that hold `n`, all about as wide.
+fn even_width(n: usize, most: usize) -> usize {
+    n.div_ceil(n.div_ceil(most))
+}
+
 /// `Σ z_i²`, lane by lane.
 #[inline(always)]
 fn energy(z: &[Lanes]) -> Lanes {
@@ -228,7 +233,7 @@ pub fn accumulate_outer<const FMA: bool, const S: usize>(
     r: usize,
     dxi: &mut [Lanes],
 ) {
-    let width = r.div_ceil(r.div_ceil(OUTER));
+    let width = even_width(r, OUTER);
     for (pair, rows) in dxi.chunks_mut(2 * r).enumerate() {
         let p = 2 * pair;
         let mut k = 0;
