@@ -58,7 +58,7 @@ fn instances(array: &Array) -> Vec<Instance> {
 ///
 /// ```text
 /// y(t) = x(t) + A sin(2π f t + φ)                                       (1)
-/// φ    = arg Σ y(t) exp(−i 2π f t) + π/2    where it is estimated        (2)
+/// φ    : Σ w (y − a cos 2π f t − b sin 2π f t)² least, tan φ = a/b, 1/w the mean square of y within 0.5 s or a period  (2)
 /// ```
 ///
 /// | symbol | field            | unit | range |
@@ -66,10 +66,11 @@ fn instances(array: &Array) -> Vec<Instance> {
 /// | A      | `amplitude_m_s2` | m/s² | 0…10  |
 /// | f      | `frequency_hz`   | Hz   | 0…200 |
 ///
-/// φ of a twin comes from the names of event, component and sensor.
+/// φ of a twin comes from the names of event, component and sensor; otherwise it is that of (2), which listens where the record
+/// is quiet: the shaking has a motion of its own at f.
 ///
-/// Limits: (2) takes the motion's own part at f for hum; it needs records of many periods.
-/// Check:  `a_hum_is_taken_out_of_the_record_that_carries_it`.
+/// Limits: records of many periods, some of them quiet.
+/// Check:  `a_hum_is_taken_out_of_the_record_that_carries_it`, `shaking_at_the_frequency_of_the_hum_does_not_hide_it`.
 /// Source: definition.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -114,17 +115,35 @@ impl Effect for MachineHum {
     }
 
     fn estimated_interference(&self, channel: &Channel<'_>) -> Option<Vec<f64>> {
-        let phase = || {
-            let (mut re, mut im) = (0.0, 0.0);
-            for (i, y) in channel.acceleration_m_s2.iter().enumerate() {
-                let (sin, cos) = (TAU * self.frequency_hz * i as f64 * channel.dt_s).sin_cos();
-                re += y * cos;
-                im -= y * sin;
-            }
-            f64::atan2(im, re) + 0.25 * TAU // (2)
-        };
+        let phase = || line_phase(channel.acceleration_m_s2, self.frequency_hz, channel.dt_s);
         self.acts_on(channel).then(|| self.sine(channel, phase()))
     }
+}
+
+/// How far around a sample its power is taken, s.
+const AROUND_S: f64 = 0.5;
+
+/// The phase of (2).
+fn line_phase(y: &[f64], frequency_hz: f64, dt_s: f64) -> f64 {
+    let half = ((AROUND_S.max(1.0 / frequency_hz) / dt_s) as usize).min(y.len());
+    let mut energy = vec![0.0];
+    energy.extend(y.iter().scan(0.0, |sum, y| {
+        *sum += y * y;
+        Some(*sum)
+    }));
+    let (mut cc, mut cs, mut ss, mut yc, mut ys) = (0.0, 0.0, 0.0, 0.0, 0.0);
+    for (i, y) in y.iter().enumerate() {
+        let (first, end) = (i.saturating_sub(half), (i + half + 1).min(energy.len() - 1));
+        let power = (energy[end] - energy[first]) / (end - first) as f64;
+        let weight = 1.0 / power.max(f64::MIN_POSITIVE);
+        let (sin, cos) = (TAU * frequency_hz * i as f64 * dt_s).sin_cos();
+        cc += weight * cos * cos;
+        cs += weight * cos * sin;
+        ss += weight * sin * sin;
+        yc += weight * y * cos;
+        ys += weight * y * sin;
+    }
+    f64::atan2(yc * ss - ys * cs, ys * cc - yc * cs) // (2), both times the determinant
 }
 
 #[cfg(test)]
@@ -145,5 +164,19 @@ mod tests {
         let other = Channel { event: "E2", ..channel(&motion) };
         assert_ne!(effect.interference(&other).unwrap()[0], hum[0]);
         assert!(effect.interference(&Channel { sensor: "base", ..other }).is_none());
+    }
+
+    #[test]
+    fn shaking_at_the_frequency_of_the_hum_does_not_hide_it() {
+        let effect = MachineHum { sensor: "top".into(), frequency_hz: 3.7, amplitude_m_s2: 0.04 };
+        let envelope = |i: usize| (-((i as f64 - 900.0) / 200.0).powi(2)).exp();
+        let motion: Vec<f64> = (0..2000).map(|i| envelope(i) * (TAU * 3.7 * 0.01 * i as f64).sin()).collect();
+        let channel = |x| Channel { sensor: "top", component: "EW", event: "E1", dt_s: 0.01, acceleration_m_s2: x };
+        let hum = effect.interference(&channel(&motion)).unwrap();
+        let record: Vec<f64> = motion.iter().zip(&hum).map(|(x, h)| x + h).collect();
+        let found = effect.estimated_interference(&channel(&record)).unwrap();
+        let left: f64 = found.iter().zip(&hum).map(|(a, b)| (a - b).powi(2)).sum();
+        let there: f64 = hum.iter().map(|h| h * h).sum();
+        assert!((left / there).sqrt() < 0.2, "{}", (left / there).sqrt());
     }
 }
