@@ -3,7 +3,7 @@
 use super::anchor::Anchor;
 use super::centre::centre;
 use super::hygiene::suspicion;
-use super::needless::{DETAIL, PAYS};
+use super::needless::{PAYS, least_gain};
 use super::outcome::{Candidate, Diagnosis, Thresholds, Verdict};
 use super::problem::{Problem, Replay};
 use super::relaxed::STIFFNESS;
@@ -209,14 +209,16 @@ impl Search<'_> {
         progress: &dyn Progress,
     ) -> Result<bool> {
         let fitted = self.fair_round(path, (number, around_plain), progress)?;
-        let detail = DETAIL * path.accepted.iter().map(|f| f.gain).fold(0.0, f64::max);
+        let least = |f: &Fitted| least_gain(path.accepted.iter().map(|f| f.gain), &f.model, thresholds);
         // Where records are described to within noise, no detail of what was found is left for anything to describe.
-        let [least, on_validation] = if self.scene.is_stiff() {
-            [thresholds.gain, f64::NEG_INFINITY]
-        } else {
-            [thresholds.gain.max(detail), thresholds.validation_gain]
+        let is_alarm = |f: &&Fitted| {
+            let [gain, on_validation] = if self.scene.is_stiff() {
+                [thresholds.gain, f64::NEG_INFINITY]
+            } else {
+                [least(f), thresholds.validation_gain]
+            };
+            f.is_confirmed && f.gain > gain && f.validation_gain > on_validation
         };
-        let is_alarm = |f: &&Fitted| f.is_confirmed && f.gain > least && f.validation_gain > on_validation;
         let Some(best) = fitted.first().filter(is_alarm) else { return Ok(false) };
         path.corrected = best.model.clone();
         let alike = fitted[1..].iter().find(|f| f.is_confirmed && f.instance.kind == best.instance.kind);

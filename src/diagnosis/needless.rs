@@ -15,7 +15,7 @@ use crate::progress::Progress;
 
 /// Share of the gain of an effect below which nothing else is an effect of its own: described to a tenth of what it does to the
 /// motions, an effect leaves a hundredth of what it gained.
-pub(super) const DETAIL: f64 = 0.01;
+const DETAIL: f64 = 0.01;
 /// Share of the excess over noise that a look must leave at most for another to follow.
 pub(super) const PAYS: f64 = 0.9;
 /// Most replays of a model without one of its effects.
@@ -93,9 +93,16 @@ impl Search<'_> {
             return self.plainer(without, &path.corrected, own) < thresholds.gain;
         }
         let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
-        let detail = DETAIL * others.map(|(_, f)| f.gain).fold(0.0, f64::max);
-        path.fall(without) - self.charge() * parameters(own) < thresholds.gain.max(detail)
+        let least = least_gain(others.map(|(_, f)| f.gain), &path.corrected, thresholds);
+        path.fall(without) - self.charge() * parameters(own) < least
     }
+}
+
+/// Least gain of an effect beside others with these `gains`, where the model `with` all of them is this: more than a detail of any of
+/// them could, unless nothing but noise is left, of which no detail is a part.
+pub(super) fn least_gain(gains: impl Iterator<Item = f64>, with: &Model, thresholds: &Thresholds) -> f64 {
+    let detail = if with.is_clean() { 0.0 } else { DETAIL * gains.fold(0.0, f64::max) };
+    thresholds.gain.max(detail)
 }
 
 impl Path {
