@@ -110,6 +110,15 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     check.current_dir(env!("CARGO_MANIFEST_DIR")).arg("check").arg(&corrected).assert().success();
     assert!(fs::read_to_string(corrected).expect("written").contains("kind = \"sensor_orientation\""));
     assert!(place.run(&[]).is_empty(), "everything is cached, the truth still gone");
+
+    // The same loop without FLARE-T compares the same replays, over whole records.
+    assert_eq!(place.run(&["--pipeline", "diagnose"]), ["compare"]);
+    let alone = place.loop_json()["summary"]["test_median_nrmse_percent"].clone();
+    assert!(alone["flare_after"].is_null(), "{alone}");
+    for name in ["declared", "recalibrated", "corrected", "noise_floor"] {
+        let [alone, beside] = [&alone, medians].map(|m| m[name].as_f64().expect("a number"));
+        assert!((alone / beside - 1.0).abs() < 0.1, "{name}: {alone} {beside}");
+    }
 }
 
 #[test]

@@ -79,6 +79,9 @@ impl RunArguments {
     }
 }
 
+/// What a run ends with saying where it is, of what its pipeline publishes.
+const ANSWERS: [(&str, &str); 2] = [("loop", "loop.json"), ("report", "report.html")];
+
 /// Decides and, unless `--dry-run` says otherwise, does.
 ///
 /// # Errors
@@ -101,9 +104,12 @@ pub fn run(arguments: &RunArguments) -> Result<()> {
     print_json(arguments, &summary)?;
     if summary.failures.is_empty() {
         if arguments.verbosity() > Verbosity::Quiet {
-            let report = site.dir().join("report.html");
-            if report.is_file() {
-                eprintln!("report: {}", report.display());
+            let published = workspace.graph.nodes().iter().flat_map(|n| &n.publishes).map(|(_, name)| name);
+            for (what, name) in ANSWERS.iter().filter(|(_, name)| published.clone().any(|p| p == name)) {
+                let path = site.dir().join(name);
+                if path.is_file() {
+                    eprintln!("{what}: {}", path.display());
+                }
             }
         }
         return Ok(());

@@ -138,9 +138,8 @@ impl Search {
         let free = problem.free(&self.at, problem.settings.free_terms[self.walk]);
         let old = problem.objective(&self.at.xi, weight);
         let normal = problem.train.normal(&self.at.xi, &free);
-        let Some((xi, observation)) =
-            descend(problem.train, problem.penalty, &normal, &free, &self.at.xi, weight, old, &mut self.damping)
-        else {
+        let descent = Descent { train: problem.train, penalty: problem.penalty, weight, free: &free };
+        let Some((xi, observation)) = descent.step(&normal, &self.at.xi, old, &mut self.damping) else {
             return false;
         };
         self.at.xi = xi;
@@ -201,45 +200,50 @@ impl Problem<'_> {
     }
 }
 
-/// The first step that lowers the objective below `old`, with its error of the training events; the damping is left ready for
-/// the step after it.
-#[allow(clippy::too_many_arguments)]
-pub(super) fn descend(
-    train: &Records<'_>,
-    penalty: &Penalty,
-    normal: &Normal,
-    free: &[usize],
-    xi: &[f32],
-    weight: f64,
-    old: f64,
-    damping: &mut f64,
-) -> Option<(Vec<f32>, f64)> {
-    let was_bounded = train.misfit(xi).1;
-    while *damping <= DAMPING.1 {
-        if let Some(step) = step(penalty, normal, free, xi, weight, *damping) {
-            let mut moved = xi.to_vec();
-            free.iter().zip(&step).for_each(|(i, d)| moved[*i] = (f64::from(xi[*i]) + d) as f32);
-            let (observation, is_bounded) = train.misfit(&moved);
-            let new = observation + weight * penalty.value(&moved);
-            if new < old && (is_bounded || !was_bounded) {
-                *damping = (*damping * 0.2).max(DAMPING.0);
-                return Some((moved, observation));
-            }
-        }
-        *damping *= 5.0;
-    }
-    *damping = FIRST_DAMPING;
-    None
+/// What a step of (1) lowers, and over which coefficients.
+pub(super) struct Descent<'a> {
+    /// Events fitted.
+    pub train: &'a Records<'a>,
+    /// What a correction costs, and the metric of the damping.
+    pub penalty: &'a Penalty,
+    /// λ.
+    pub weight: f64,
+    /// Coefficients that may move.
+    pub free: &'a [usize],
 }
 
-/// δ of equation (1), nothing where the matrix is not positive.
-fn step(penalty: &Penalty, normal: &Normal, free: &[usize], xi: &[f32], weight: f64, damping: f64) -> Option<Vec<f64>> {
-    let matrix = Mat::from_fn(free.len(), free.len(), |i, j| {
-        normal.curvature(i, j) + (weight + damping) * penalty.curvature(free[i], free[j])
-    });
-    let pull = penalty.half_gradient(xi);
-    let right = Mat::from_fn(free.len(), 1, |i, _| -normal.slope(i) - weight * pull[free[i]]);
-    let step = matrix.llt(Side::Lower).ok()?.solve(&right);
-    let step: Vec<f64> = (0..free.len()).map(|i| step[(i, 0)]).collect();
-    step.iter().all(|d| d.is_finite()).then_some(step)
+impl Descent<'_> {
+    /// The first step from `xi` that lowers the objective below `old`, with its error of the training events; the damping is left
+    /// ready for the step after it.
+    pub fn step(&self, normal: &Normal, xi: &[f32], old: f64, damping: &mut f64) -> Option<(Vec<f32>, f64)> {
+        let was_bounded = self.train.misfit(xi).1;
+        while *damping <= DAMPING.1 {
+            if let Some(step) = self.solve(normal, xi, *damping) {
+                let mut moved = xi.to_vec();
+                self.free.iter().zip(&step).for_each(|(i, d)| moved[*i] = (f64::from(xi[*i]) + d) as f32);
+                let (observation, is_bounded) = self.train.misfit(&moved);
+                let new = observation + self.weight * self.penalty.value(&moved);
+                if new < old && (is_bounded || !was_bounded) {
+                    *damping = (*damping * 0.2).max(DAMPING.0);
+                    return Some((moved, observation));
+                }
+            }
+            *damping *= 5.0;
+        }
+        *damping = FIRST_DAMPING;
+        None
+    }
+
+    /// δ of equation (1), nothing where the matrix is not positive.
+    fn solve(&self, normal: &Normal, xi: &[f32], damping: f64) -> Option<Vec<f64>> {
+        let Self { penalty, weight, free, .. } = self;
+        let matrix = Mat::from_fn(free.len(), free.len(), |i, j| {
+            normal.curvature(i, j) + (weight + damping) * penalty.curvature(free[i], free[j])
+        });
+        let pull = penalty.half_gradient(xi);
+        let right = Mat::from_fn(free.len(), 1, |i, _| -normal.slope(i) - weight * pull[free[i]]);
+        let step = matrix.llt(Side::Lower).ok()?.solve(&right);
+        let step: Vec<f64> = (0..free.len()).map(|i| step[(i, 0)]).collect();
+        step.iter().all(|d| d.is_finite()).then_some(step)
+    }
 }

@@ -11,7 +11,7 @@
 
 use super::case::{Case, Event};
 use super::events::{Reader, Records};
-use super::gauss_newton::{FIRST_DAMPING, descend};
+use super::gauss_newton::{Descent, FIRST_DAMPING};
 use super::model::SourceModel;
 use super::observation::Observation;
 use super::penalty::Penalty;
@@ -65,10 +65,11 @@ pub fn polish(
     let n_coefficient = fixed.shape.library().n_coefficient();
     let free: Vec<usize> = (0..n_coefficient).filter(|i| model.mask[*i]).collect();
     let mut xi = fixed.coefficients().to_vec();
+    let descent = Descent { train: &records, penalty: &penalty, weight: 0.0, free: &free };
     let (mut error, mut damping) = (records.misfit(&xi).0, FIRST_DAMPING);
     for _ in 0..steps {
         let normal = records.normal_thinned(&xi, &free, THINNING);
-        let Some((moved, new)) = descend(&records, &penalty, &normal, &free, &xi, 0.0, error, &mut damping) else {
+        let Some((moved, new)) = descent.step(&normal, &xi, error, &mut damping) else {
             return;
         };
         xi = moved;

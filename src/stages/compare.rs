@@ -86,6 +86,7 @@ impl Stage for Compare {
         &[
             "sensors",
             "analysis.output_step_s",
+            "pretrain.step_s",
             "diagnose.seed",
             "records.format",
             "records.components",
@@ -146,42 +147,60 @@ impl Loop {
     }
 }
 
-/// What both passes left.
+/// What the passes left; FLARE-T's part is missing where the pipeline does not train it.
 struct Passes<'a> {
-    before: Evaluation,
-    /// Second pass and ablation, where something was corrected.
-    after: Option<(Evaluation, Evaluation)>,
+    before: Option<Evaluation>,
+    after: Option<Evaluation>,
+    ablation: Option<Evaluation>,
     axis: Axis,
     output_step_s: f64,
+    /// Replays of the manifest as declared, recalibrated and, where something was corrected, corrected.
+    declared: &'a Path,
     recalibrated: &'a Path,
-    /// The replay of the best model there is.
-    best: &'a Path,
+    corrected: Option<&'a Path>,
 }
 
 impl<'a> Passes<'a> {
     fn read(task: &'a Task<'_>, is_corrected: bool) -> Result<Self> {
-        let (before, axis) = evaluate::read(task.input("before")?)?;
-        let evaluation = |role: &str| -> Result<Evaluation> { Ok(evaluate::read(task.input(role)?)?.0) };
-        let after = if is_corrected { Some((evaluation("after")?, evaluation("ablation")?)) } else { None };
-        let recalibrated = task.input("recalibrated")?;
-        let best = if is_corrected { task.input("corrected")? } else { recalibrated };
-        Ok(Self { before, after, axis, output_step_s: task.section("analysis.output_step_s")?, recalibrated, best })
+        let evaluation = |role: &str, is_wanted: bool| -> Result<Option<(Evaluation, Axis)>> {
+            if is_wanted && task.has_input(role) { evaluate::read(task.input(role)?).map(Some) } else { Ok(None) }
+        };
+        let (before, axis) = evaluation("before", true)?.unzip();
+        Ok(Self {
+            before,
+            after: evaluation("after", is_corrected)?.map(|(e, _)| e),
+            ablation: evaluation("ablation", is_corrected)?.map(|(e, _)| e),
+            axis: match axis {
+                Some(axis) => axis,
+                None => Axis { start_s: 0.0, step_s: task.section("pretrain.step_s")? },
+            },
+            output_step_s: task.section("analysis.output_step_s")?,
+            declared: task.input("declared")?,
+            recalibrated: task.input("recalibrated")?,
+            corrected: is_corrected.then(|| task.input("corrected")).transpose()?,
+        })
     }
 
     fn errors(&self, record: &Record, split: Split) -> Result<Vec<ErrorRow>> {
         let observed = self.axis.of_record(record);
-        let recalibrated = replay::read(self.recalibrated, &record.event, &record.component)?
-            .and_then(|h| self.axis.of_replay(&h, self.output_step_s, &observed));
-        let best = replay::read(self.best, &record.event, &record.component)?;
+        let replayed = |folder: &Path| replay::read(folder, &record.event, &record.component);
+        let best = replayed(self.corrected.unwrap_or(self.recalibrated))?;
+        let [declared, recalibrated, corrected] = [Some(self.declared), Some(self.recalibrated), self.corrected].map(
+            |folder| -> Result<Option<Vec<Vec<f64>>>> {
+                let histories = folder.map(replayed).transpose()?.flatten();
+                Ok(histories.and_then(|h| self.axis.of_replay(&h, self.output_step_s, &observed)))
+            },
+        );
+        let [declared, recalibrated, corrected] = [declared?, recalibrated?, corrected?];
         let rows = record.outputs.iter().enumerate().map(|(j, sensor)| {
-            let before = nrmse(&self.before, record, &sensor.name);
-            let after = self.after.as_ref().and_then(|(after, _)| nrmse(after, record, &sensor.name));
+            let fe = |h: &Option<Vec<Vec<f64>>>| evaluate::nrmse(&h.as_ref()?[j], &observed[j]);
+            let flare = |e: &Option<Evaluation>| nrmse(e.as_ref()?, record, &sensor.name)?.flare_t;
             let nrmse_percent = Six {
-                declared: before.and_then(|b| b.fe),
-                recalibrated: recalibrated.as_ref().and_then(|h| evaluate::nrmse(&h[j], &observed[j])),
-                corrected: after.and_then(|a| a.fe),
-                flare_before: before.and_then(|b| b.flare_t),
-                flare_after: after.and_then(|a| a.flare_t),
+                declared: fe(&declared),
+                recalibrated: fe(&recalibrated),
+                corrected: fe(&corrected),
+                flare_before: flare(&self.before),
+                flare_after: flare(&self.after),
                 noise_floor: best.as_ref().and_then(|h| self.floor(record, j, &h[j], &observed[j])),
             };
             ErrorRow {
@@ -196,7 +215,7 @@ impl<'a> Passes<'a> {
     }
 
     fn ablation(&self, record: &Record, sensor: &str) -> Option<f64> {
-        nrmse(&self.after.as_ref()?.1, record, sensor)?.flare_t
+        nrmse(self.ablation.as_ref()?, record, sensor)?.flare_t
     }
 
     /// NRMSE that noise leaves to the right model, %, with the amplification of the best model there is.
