@@ -165,6 +165,7 @@ fn diagnose_rest(
         }
     }
     path.stiffen(&mut scene, (1.0, settings), replay)?;
+    Search::new(&scene, settings, Some(replay))?.replay_answer(&mut path)?;
     path.alternatives = scene.alternatives((&path.corrected, &path.anchor), replay, settings, progress)?;
     verdict::assemble(&Search::new(&scene, settings, Some(replay))?, &path, thresholds)
 }
@@ -228,6 +229,15 @@ impl Search<'_> {
             path.anchor = confirmed;
         }
         Ok(true)
+    }
+
+    /// Replays what is about to be said, so that the verdict is on what the finite-element column leaves.
+    fn replay_answer(&self, path: &mut Path) -> Result<()> {
+        let Model { effects, .. } = &path.corrected;
+        let anchor = self.anchored(effects, path.corrected.x(), Some(&path.anchor))?;
+        path.corrected = self.settle(effects, path.corrected.x(), &anchor, None, 0)?;
+        path.anchor = anchor;
+        Ok(())
     }
 
     /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be

@@ -64,12 +64,8 @@ impl Search<'_> {
         let mut index = 0;
         while index < path.accepted.len() {
             let fitted = self.fitted_without(path, index)?;
-            let without = if fitted.effects.is_empty() {
-                (fitted, path.anchor.clone())
-            } else {
-                let at_stake = path.corrected.cost();
-                self.replayed_until_settled(fitted, (None, &path.anchor), (REPLAYS, at_stake), progress)?
-            };
+            let at_stake = path.corrected.cost();
+            let without = self.replayed_until_settled(fitted, (None, &path.anchor), (REPLAYS, at_stake), progress)?;
             if self.is_needless(path, index, &without.0, thresholds) {
                 path.take_out(index, without, progress);
             } else {
