@@ -130,9 +130,11 @@ fn diagnose_rest(
             path.stiffen(&mut scene, (STIFFNESS, settings), replay)?;
         }
         let before = path.accepted.len();
+        let settled = (path.corrected.clone(), path.anchor.clone());
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
         progress.advance(1);
         if !is_found {
+            Search::new(&scene, settings, Some(replay))?.stay(&mut path, settled)?;
             // Something is left that no further effect explains: one of those there may stand in for another that has moved.
             if before > 1 {
                 Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
@@ -229,6 +231,18 @@ impl Search<'_> {
             path.anchor = confirmed;
         }
         Ok(true)
+    }
+
+    /// Goes back to what was `settled` before a round that found nothing, where a replay finds the base that it moved to worse.
+    fn stay(&self, path: &mut Path, settled: (Model, Anchor)) -> Result<()> {
+        self.replay_answer(path)?;
+        if path.corrected.cost() > settled.0.cost() {
+            (path.corrected, path.anchor) = settled;
+            if path.accepted.is_empty() {
+                path.recalibrated = path.corrected.clone();
+            }
+        }
+        Ok(())
     }
 
     /// Replays what is about to be said, so that the verdict is on what the finite-element column leaves.
