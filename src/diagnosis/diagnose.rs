@@ -4,7 +4,8 @@ use super::anchor::Anchor;
 use super::centre::centre;
 use super::hygiene::suspicion;
 use super::needless::{PAYS, least_gain};
-use super::outcome::{Candidate, Diagnosis, Thresholds, Verdict};
+use super::outcome::{Diagnosis, Thresholds, Verdict};
+use super::path::Path;
 use super::problem::{Problem, Replay};
 use super::relaxed::STIFFNESS;
 use super::responses::Scene;
@@ -134,7 +135,7 @@ fn diagnose_rest(
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
         progress.advance(1);
         if !is_found {
-            Search::new(&scene, settings, Some(replay))?.stay(&mut path, settled)?;
+            path.stay(&Search::new(&scene, settings, Some(replay))?, settled)?;
             // Something is left that no further effect explains: one of those there may stand in for another that has moved.
             if before > 1 {
                 Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
@@ -167,36 +168,9 @@ fn diagnose_rest(
         }
     }
     path.stiffen(&mut scene, (1.0, settings), replay)?;
-    Search::new(&scene, settings, Some(replay))?.replay_answer(&mut path)?;
+    path.replay(&Search::new(&scene, settings, Some(replay))?)?;
     path.alternatives = scene.alternatives((&path.corrected, &path.anchor), replay, settings, progress)?;
     verdict::assemble(&Search::new(&scene, settings, Some(replay))?, &path, thresholds)
-}
-
-/// What a diagnosis went through.
-pub(super) struct Path {
-    /// The model as declared.
-    pub declared: Model,
-    /// Recalibrated within the tolerances, restarted from better nuisances where a fit found them.
-    pub recalibrated: Model,
-    /// With every accepted effect.
-    pub corrected: Model,
-    /// Accepted effects as they were when accepted.
-    pub accepted: Vec<Fitted>,
-    /// Everything fitted, round by round.
-    pub candidates: Vec<Candidate>,
-    /// The first round, best first.
-    pub first: Vec<Fitted>,
-    /// What the corrected model was settled against.
-    pub anchor: Anchor,
-    /// Declared nuisances but for the damping: an effect that is strong is seen from there, before nuisances have taken its
-    /// place.
-    plain: Vec<f64>,
-    /// Estimates of other models that leave nothing either, each unknown with its standard deviation.
-    pub alternatives: Vec<Vec<[f64; 2]>>,
-    /// Anchor of the best effect of the last round.
-    confirmed: Option<Anchor>,
-    /// The same effect at another place, where that was confirmed too.
-    rival: Option<Model>,
 }
 
 impl Search<'_> {
@@ -231,27 +205,6 @@ impl Search<'_> {
             path.anchor = confirmed;
         }
         Ok(true)
-    }
-
-    /// Goes back to what was `settled` before a round that found nothing, where a replay finds the base that it moved to worse.
-    fn stay(&self, path: &mut Path, settled: (Model, Anchor)) -> Result<()> {
-        self.replay_answer(path)?;
-        if path.corrected.cost() > settled.0.cost() {
-            (path.corrected, path.anchor) = settled;
-            if path.accepted.is_empty() {
-                path.recalibrated = path.corrected.clone();
-            }
-        }
-        Ok(())
-    }
-
-    /// Replays what is about to be said, so that the verdict is on what the finite-element column leaves.
-    fn replay_answer(&self, path: &mut Path) -> Result<()> {
-        let Model { effects, .. } = &path.corrected;
-        let anchor = self.anchored(effects, path.corrected.x(), Some(&path.anchor))?;
-        path.corrected = self.settle(effects, path.corrected.x(), &anchor, None, 0)?;
-        path.anchor = anchor;
-        Ok(())
     }
 
     /// A round, again from a better base where the best effect's nuisances show that there is one: the effect must not be
@@ -357,42 +310,6 @@ impl Search<'_> {
             confirmed: None,
             rival: None,
         })
-    }
-}
-
-impl Path {
-    /// Gives the priors this weight from now on.
-    fn stiffen(
-        &mut self,
-        scene: &mut Scene<'_>,
-        (stiffness, settings): (f64, &DiagnoseSettings),
-        replay: &dyn Replay,
-    ) -> Result<()> {
-        if scene.stiffness != stiffness {
-            scene.stiffness = stiffness;
-            let search = Search::new(scene, settings, Some(replay))?;
-            self.corrected = search.settle(&self.corrected.effects, self.corrected.x(), &self.anchor, None, 0)?;
-        }
-        Ok(())
-    }
-
-    fn note(&mut self, fitted: &[Fitted], round: usize) {
-        let excess = self.recalibrated.excess().max(1.0);
-        self.candidates.extend(fitted.iter().map(|f| {
-            let x = f.model.x();
-            let own = &x[x.len() - f.instance.free.len()..];
-            Candidate {
-                kind: f.instance.kind.to_string(),
-                target: f.instance.place(),
-                class: f.instance.class(),
-                gain: f.gain,
-                validation_gain: f.validation_gain,
-                explained_share: ((self.recalibrated.cost() - f.model.cost()) / excess).clamp(0.0, 1.0),
-                round,
-                is_confirmed: f.is_confirmed,
-                table: f.instance.at(own),
-            }
-        }));
     }
 }
 

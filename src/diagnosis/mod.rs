@@ -41,6 +41,7 @@ mod noise;
 mod null_twins;
 mod operators;
 mod outcome;
+mod path;
 mod places;
 mod power;
 mod problem;

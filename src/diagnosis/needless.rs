@@ -1,8 +1,9 @@
 //! Replays around a model with its effects, and whether it needs them all.
 
 use super::anchor::Anchor;
-use super::diagnose::{Path, STEPS};
+use super::diagnose::STEPS;
 use super::outcome::Thresholds;
+use super::path::Path;
 use super::problem::Replay;
 use super::responses::Scene;
 use super::round::parameters;

@@ -1,11 +1,11 @@
 //! From the path of a diagnosis to its verdict: known, ambiguous, unknown or none, with intervals and what remains.
 
-use super::diagnose::Path;
 use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
 use super::outcome::{
     Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound, Verdict,
 };
+use super::path::Path;
 use super::round::Fitted;
 use super::screen::{Marginal, derivative};
 use super::search::{Model, Search, square};
