@@ -23,12 +23,13 @@ use std::cmp::Ordering;
 
 /// Most steps of a fit.
 pub(super) const STEPS: usize = 6;
-/// Looks around, at least and at most: the first near the declared soil, the others at the recalibrated one.
-const LOOKS: [usize; 2] = [2, 3];
+/// Looks around: the first near the declared soil, the others at the recalibrated one; at least, as a rule, and at most.
+const LOOKS: [usize; 3] = [2, 3, 5];
 /// Standard deviations by which costs exceed those of noise where the last of them is taken.
 const SURPRISE: f64 = 1.0;
-/// Share of the excess over noise that a look must leave at most for another to be worth it: more is wrong than tolerances.
-const WORTHWHILE: f64 = 0.7;
+/// Share of the excess over noise that a look must leave at most for another to be worth it: more is wrong than tolerances. Beyond
+/// the rule it must be on its way to noise.
+const WORTHWHILE: [f64; 2] = [0.7, 0.3];
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -107,7 +108,7 @@ fn diagnose_rest(
     let mut path = None;
     let mut before = f64::INFINITY;
     let mut around_plain = None;
-    for look in 1..=LOOKS[1] {
+    for look in 1..=LOOKS[2] {
         let centre = path.as_ref().map_or(&plain, |p: &Path| &p.recalibrated.train.x).clone();
         scene.look_around(replay, settings, (&[], &centre), progress)?;
         around_plain.get_or_insert_with(|| scene.clone());
@@ -116,7 +117,8 @@ fn diagnose_rest(
         progress.note(&format!("recalibrated: {train:.1} and {validation:.1} standard deviations more than noise"));
         let excess = found.recalibrated.excess();
         path = Some(found);
-        if look >= LOOKS[0] && (train.max(validation) < SURPRISE || excess > WORTHWHILE * before) {
+        let worthwhile = WORTHWHILE[usize::from(look >= LOOKS[1])];
+        if look >= LOOKS[0] && (train.max(validation) < SURPRISE || excess > worthwhile * before) {
             break;
         }
         before = excess;
@@ -135,7 +137,7 @@ fn diagnose_rest(
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
         progress.advance(1);
         if !is_found {
-            path.stay(&Search::new(&scene, settings, Some(replay))?, settled)?;
+            path.stay(&Search::new(&scene, settings, Some(replay))?, settled, progress)?;
             // Something is left that no further effect explains: one of those there may stand in for another that has moved.
             if before > 1 {
                 Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
@@ -168,7 +170,7 @@ fn diagnose_rest(
         }
     }
     path.stiffen(&mut scene, (1.0, settings), replay)?;
-    path.replay(&Search::new(&scene, settings, Some(replay))?)?;
+    path.replay(&Search::new(&scene, settings, Some(replay))?, progress)?;
     path.alternatives = scene.alternatives((&path.corrected, &path.anchor), replay, settings, progress)?;
     verdict::assemble(&Search::new(&scene, settings, Some(replay))?, &path, thresholds)
 }

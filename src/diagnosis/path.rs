@@ -8,6 +8,10 @@ use super::round::Fitted;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use crate::error::Result;
+use crate::progress::Progress;
+
+/// Most replays of an answer.
+const REPLAYS: usize = 4;
 
 /// What a diagnosis went through.
 pub(super) struct Path {
@@ -76,8 +80,8 @@ impl Path {
     ///
     /// # Errors
     /// When a replay is impossible.
-    pub fn stay(&mut self, search: &Search<'_>, settled: (Model, Anchor)) -> Result<()> {
-        self.replay(search)?;
+    pub fn stay(&mut self, search: &Search<'_>, settled: (Model, Anchor), progress: &dyn Progress) -> Result<()> {
+        self.replay(search, progress)?;
         if self.corrected.cost() > settled.0.cost() {
             (self.corrected, self.anchor) = settled;
             if self.accepted.is_empty() {
@@ -87,15 +91,16 @@ impl Path {
         Ok(())
     }
 
-    /// Replays what is about to be said, so that the verdict is on what the finite-element column leaves.
+    /// Replays what is about to be said, so that the verdict is on what the finite-element column leaves, and fits again where that
+    /// is not what was expected.
     ///
     /// # Errors
     /// When a replay is impossible.
-    pub fn replay(&mut self, search: &Search<'_>) -> Result<()> {
-        let (effects, x) = (&self.corrected.effects, self.corrected.x());
-        let anchor = search.anchored(effects, x, Some(&self.anchor))?;
-        self.corrected = search.settle(effects, x, &anchor, None, 0)?;
-        self.anchor = anchor;
+    pub fn replay(&mut self, search: &Search<'_>, progress: &dyn Progress) -> Result<()> {
+        let before = self.corrected.cost();
+        (self.corrected, self.anchor) =
+            search.replayed(self.corrected.clone(), (None, &self.anchor), (REPLAYS, before), progress)?;
+        progress.note(&format!("answer: cost {before:.0} before its replay, {:.0} now", self.corrected.cost()));
         Ok(())
     }
 }
