@@ -11,6 +11,7 @@ use flare_pipe::numerics::{random, resample};
 use flare_pipe::records::Split;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
+use std::sync::Mutex;
 
 /// Time step of the records, s.
 pub const STEP_S: f64 = 0.02;
@@ -216,6 +217,25 @@ impl Replay for Replays<'_> {
                 Ok(run.ok())
             })
             .collect()
+    }
+}
+
+/// Notes what it replays, but for what is replayed roughly.
+pub struct Noted<'a> {
+    /// Who replays.
+    pub replays: Replays<'a>,
+    /// The tables of each replay.
+    pub asked: Mutex<Vec<Vec<toml::Table>>>,
+}
+
+impl Replay for Noted<'_> {
+    fn replay(&self, tables: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.asked.lock().expect("nobody panicked").push(tables.to_vec());
+        self.replays.replay(tables)
+    }
+
+    fn replay_roughly(&self, tables: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+        self.replays.replay(tables)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Twins of a small array.
 
-use crate::support::{Loud, Replays, Truth, array, problem, settings, table};
+use crate::support::{Loud, Noted, Replays, Truth, array, problem, settings, table};
 use flare_pipe::diagnosis::{
     self, Diagnosis, Disturbance, Scene, Thresholds, Verdict, diagnose, drawn, nuisance_tables, nuisances, power,
 };
@@ -8,6 +8,7 @@ use flare_pipe::effects;
 use flare_pipe::numerics::random;
 use flare_pipe::progress::Quiet;
 use rand::RngExt;
+use std::sync::Mutex;
 
 fn thresholds() -> Thresholds {
     Thresholds { gain: 5.0, validation_gain: 5.0, excess: 4.0, deviations: 3.0, twins: 0, null_gains: Vec::new() }
@@ -92,14 +93,20 @@ fn matrix() {
 }
 
 #[test]
-fn a_turned_sensor_on_a_nonlinear_site_is_named() {
+fn a_turned_sensor_on_a_nonlinear_site_is_named_and_what_is_said_was_replayed() {
     let array = array();
     let truth = [table("kind = 'sensor_orientation'\nsensor = 'mid'\nazimuth_deg = 20.0")];
     let problem = problem(&array, &truth, Truth { elements: 120, max_step_s: 0.0025, seed: 11, events: 8 });
-    let found = diagnose(&problem, &Replays(&problem), &settings(), &thresholds(), &Quiet).unwrap();
+    let noted = Noted { replays: Replays(&problem), asked: Mutex::default() };
+    let found = diagnose(&problem, &noted, &settings(), &thresholds(), &Quiet).unwrap();
     println!("{}", line(&found));
     assert_eq!(found.verdict, Verdict::Known);
     assert_eq!(found.effects[0].kind, "sensor_orientation");
+    let effects = found.effects.iter().filter(|f| !f.is_standing).map(|f| &f.table);
+    let said: Vec<toml::Table> = found.corrected_nuisances.iter().chain(effects).cloned().collect();
+    // What stands whatever the profile comes before it.
+    let asked = noted.asked.into_inner().unwrap();
+    assert!(asked.iter().any(|replayed| replayed.ends_with(&said)), "{said:?}");
 }
 
 #[test]
