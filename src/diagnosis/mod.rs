@@ -9,8 +9,9 @@
 //! so is what a yielding column makes of that noise. Fits see training events alone; validation events are judged by
 //! what these let expect of them, the uncertainty of the fit included. Declared tolerances are nuisances of every test:
 //! only what they cannot explain may be called an effect, and the alarm thresholds are those of null twins of the same
-//! array. Of models that leave no more than noise the one closest to what is declared stands, and where that still is
-//! farther off than chance puts it, the search goes on for what its tolerances have made up for.
+//! array. The verdict is on what a last replay of the answer leaves. Of models that leave no more than noise the one
+//! closest to what is declared stands, and where that still is farther off than chance puts it, the search goes on for
+//! what its tolerances have made up for.
 
 mod anchor;
 mod axes;
