@@ -132,14 +132,13 @@ fn diagnose_rest(
         if path.corrected.is_strained() {
             path.stiffen(&mut scene, (STIFFNESS, settings), replay)?;
         }
-        let before = path.accepted.len();
         let settled = (path.corrected.clone(), path.anchor.clone());
         let is_found = Search::new(&scene, settings, Some(replay))?.step(&mut path, ground, thresholds, progress)?;
         progress.advance(1);
         if !is_found {
             path.stay(&Search::new(&scene, settings, Some(replay))?, settled, progress)?;
             // Something is left that no further effect explains: one of those there may stand in for another that has moved.
-            if before > 1 {
+            if path.accepted.len() > 1 {
                 Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
                 path.say_once(&mut scene, settings, replay, progress)?;
             }

@@ -1,6 +1,7 @@
 //! The error that sensor noise leaves to a prediction by the right model.
 
 use super::NoiseSpectrum;
+use crate::numerics::smooth::running_mean;
 use realfft::RealFftPlanner;
 
 /// Width over which spectra are smoothed before they are divided, Hz.
@@ -36,7 +37,7 @@ pub fn noise_deviation_m_s2(
     }
     let step_hz = 1.0 / (n as f64 * dt_s);
     let half = (0.5 * SMOOTHED_HZ / step_hz).ceil() as usize;
-    let [u, y] = [&base[..n], &response[..n]].map(|x| smoothed(&power(x), half));
+    let [u, y] = [&base[..n], &response[..n]].map(|x| running_mean(&power(x), half));
     let last = ((f_max_hz / step_hz).floor() as usize).min(u.len() - 1);
     let variance: f64 = (1..=last)
         .map(|k| {
@@ -54,18 +55,6 @@ fn power(x: &[f64]) -> Vec<f64> {
     // Lengths agree by construction; a failure would leave the spectrum at zero.
     let _ = plan.process(&mut x.to_vec(), &mut spectrum);
     spectrum.iter().map(|z| z.norm_sqr()).collect()
-}
-
-/// Means over `half` values to either side.
-fn smoothed(x: &[f64], half: usize) -> Vec<f64> {
-    let mut sums = vec![0.0];
-    x.iter().for_each(|v| sums.push(sums[sums.len() - 1] + v));
-    (0..x.len())
-        .map(|k| {
-            let (from, to) = (k.saturating_sub(half), (k + half + 1).min(x.len()));
-            (sums[to] - sums[from]) / (to - from) as f64
-        })
-        .collect()
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 use super::anchor::{Anchor, smoothing};
 use super::neighbours::Seen;
 use super::responses::{Responses, Scene};
-use super::spectra::running_mean;
+use crate::numerics::smooth::running_mean;
 
 /// Power added to the noise of the output sensors: `[group][record][bin and sensor]`, empty where it is not known.
 pub(super) type Propagated = Vec<Vec<Vec<f64>>>;

@@ -3,6 +3,7 @@
 use super::problem::{Event, Problem};
 use super::settings::DiagnoseSettings;
 use crate::error::{Error, Result};
+use crate::numerics::smooth::running_mean;
 use crate::records::Split;
 use realfft::num_complex::Complex;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
@@ -291,16 +292,4 @@ fn strongest(members: &[(usize, &Event)], n: usize, longest: usize) -> Range<usi
 /// Mean |x|² over 2·`half` + 1 bins.
 pub fn smoothed(x: &[C64], half: usize) -> Vec<f64> {
     running_mean(&x.iter().map(C64::norm_sqr).collect::<Vec<_>>(), half)
-}
-
-/// Mean of `power` over 2·`half` + 1 bins.
-pub fn running_mean(power: &[f64], half: usize) -> Vec<f64> {
-    let n = power.len();
-    (0..n)
-        .map(|k| {
-            let range = k.saturating_sub(half)..(k + half + 1).min(n);
-            let count = range.len() as f64;
-            power[range].iter().sum::<f64>() / count
-        })
-        .collect()
 }

@@ -3,6 +3,7 @@
 use super::{Array, Catalogue, Channel, Class, Effect, Entry, Free, Instance, Parameter, Scale};
 use crate::error::Result;
 use crate::numerics::random;
+use crate::numerics::smooth::running_mean;
 use crate::registry;
 use rand::RngExt;
 use schemars::JsonSchema;
@@ -126,15 +127,9 @@ const AROUND_S: f64 = 0.5;
 /// The phase of (2).
 fn line_phase(y: &[f64], frequency_hz: f64, dt_s: f64) -> f64 {
     let half = ((AROUND_S.max(1.0 / frequency_hz) / dt_s) as usize).min(y.len());
-    let mut energy = vec![0.0];
-    energy.extend(y.iter().scan(0.0, |sum, y| {
-        *sum += y * y;
-        Some(*sum)
-    }));
+    let power = running_mean(&y.iter().map(|y| y * y).collect::<Vec<_>>(), half);
     let (mut cc, mut cs, mut ss, mut yc, mut ys) = (0.0, 0.0, 0.0, 0.0, 0.0);
-    for (i, y) in y.iter().enumerate() {
-        let (first, end) = (i.saturating_sub(half), (i + half + 1).min(energy.len() - 1));
-        let power = (energy[end] - energy[first]) / (end - first) as f64;
+    for (i, (y, power)) in y.iter().zip(power).enumerate() {
         let weight = 1.0 / power.max(f64::MIN_POSITIVE);
         let (sin, cos) = (TAU * frequency_hz * i as f64 * dt_s).sin_cos();
         cc += weight * cos * cos;

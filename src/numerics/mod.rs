@@ -6,5 +6,6 @@ pub mod integrate;
 pub mod lanes;
 pub mod random;
 pub mod resample;
+pub mod smooth;
 pub mod spectrum;
 pub mod threads;

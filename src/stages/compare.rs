@@ -79,7 +79,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -184,21 +184,18 @@ impl<'a> Passes<'a> {
     fn errors(&self, record: &Record, split: Split) -> Result<Vec<ErrorRow>> {
         let observed = self.axis.of_record(record);
         let replayed = |folder: &Path| replay::read(folder, &record.event, &record.component);
-        let best = replayed(self.corrected.unwrap_or(self.recalibrated))?;
-        let [declared, recalibrated, corrected] = [Some(self.declared), Some(self.recalibrated), self.corrected].map(
-            |folder| -> Result<Option<Vec<Vec<f64>>>> {
-                let histories = folder.map(replayed).transpose()?.flatten();
-                Ok(histories.and_then(|h| self.axis.of_replay(&h, self.output_step_s, &observed)))
-            },
-        );
-        let [declared, recalibrated, corrected] = [declared?, recalibrated?, corrected?];
+        let [declared, recalibrated] = [replayed(self.declared)?, replayed(self.recalibrated)?];
+        let corrected = self.corrected.map(replayed).transpose()?.flatten();
+        let best = if self.corrected.is_some() { &corrected } else { &recalibrated };
+        let [on_declared, on_recalibrated, on_corrected] = [&declared, &recalibrated, &corrected]
+            .map(|h| h.as_ref().and_then(|h| self.axis.of_replay(h, self.output_step_s, &observed)));
         let rows = record.outputs.iter().enumerate().map(|(j, sensor)| {
             let fe = |h: &Option<Vec<Vec<f64>>>| evaluate::nrmse(&h.as_ref()?[j], &observed[j]);
             let flare = |e: &Option<Evaluation>| nrmse(e.as_ref()?, record, &sensor.name)?.flare_t;
             let nrmse_percent = Six {
-                declared: fe(&declared),
-                recalibrated: fe(&recalibrated),
-                corrected: fe(&corrected),
+                declared: fe(&on_declared),
+                recalibrated: fe(&on_recalibrated),
+                corrected: fe(&on_corrected),
                 flare_before: flare(&self.before),
                 flare_after: flare(&self.after),
                 noise_floor: best.as_ref().and_then(|h| self.floor(record, j, &h[j], &observed[j])),
