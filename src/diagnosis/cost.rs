@@ -5,9 +5,10 @@ use super::generic::Pair;
 use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
 use super::unknowns::Placed;
-use crate::effects::Effect;
+use crate::effects::{Effect, Operator};
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
+use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -61,9 +62,10 @@ fn all_whitened(
 ) -> Vec<Vec<Vec<f64>>> {
     let amounts = &anchor.amounts(scene, effects, x);
     let ways: Vec<(&Placed, Vec<f64>)> = moved.iter().map(|m| (m, anchor.amounts(scene, effects, m))).collect();
+    let side = SensorSide::new(scene, effects, groups);
     let whiten = |g: &usize| {
         let mut out = vec![Vec::with_capacity(scene.groups[*g].n_residual()); 1 + moved.len()];
-        each_bin(scene, effects, responses, (anchor, x, amounts), (*g, &ways), |bin| bin.whiten(&mut out));
+        each_bin(scene, &side, responses, (anchor, x, amounts), (*g, &ways), |bin| bin.whiten(&mut out));
         out
     };
     groups.par_iter().map(whiten).collect()
@@ -82,7 +84,7 @@ pub fn pairs(
     let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
     let mut rows = vec![empty; group.records.len() * n_sensor];
     let amounts = &anchor.amounts(scene, effects, x);
-    each_bin(scene, effects, responses, (anchor, x, amounts), (g, &[]), |bin| {
+    each_bin(scene, &SensorSide::new(scene, effects, &[g]), responses, (anchor, x, amounts), (g, &[]), |bin| {
         for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
             row.predicted.push(*predicted);
             row.measured.push(*measured);
@@ -91,25 +93,51 @@ pub fn pairs(
     rows.chunks_exact(n_sensor.max(1)).map(<[Pair]>::to_vec).collect()
 }
 
+/// What sensors make of motions under some effects, for some groups.
+struct SensorSide<'e> {
+    effects: &'e [Box<dyn Effect>],
+    operators: Operators<'e>,
+    /// What output sensors make of motions, by group, `[bin][sensor]`; groups of the same frequencies share one.
+    outputs: Vec<Option<Arc<Vec<Operator>>>>,
+    /// The channel of each sensor, the input sensor first.
+    sources: Vec<usize>,
+}
+
+impl<'e> SensorSide<'e> {
+    fn new(scene: &'e Scene<'_>, effects: &'e [Box<dyn Effect>], groups: &[usize]) -> Self {
+        let operators = Operators::new(scene, effects);
+        let mut outputs: Vec<Option<Arc<Vec<Operator>>>> = vec![None; scene.groups.len()];
+        for &g in groups {
+            let frequencies_hz = &scene.groups[g].frequencies_hz;
+            let is_same = |i: &usize| outputs[*i].is_some() && scene.groups[*i].frequencies_hz == *frequencies_hz;
+            outputs[g] = match (0..g).find(is_same) {
+                Some(same) => outputs[same].clone(),
+                None => Some(Arc::new(operators.outputs(frequencies_hz))),
+            };
+        }
+        let sources = (0..=scene.problem.array.outputs.len()).map(|s| scene.source(effects, s)).collect();
+        Self { effects, operators, outputs, sources }
+    }
+}
+
 /// Sets up every frequency of group `g` in turn, with what is predicted more on each of the `ways` to other places of the soil.
 fn each_bin(
     scene: &Scene<'_>,
-    effects: &[Box<dyn Effect>],
+    SensorSide { effects, operators: all, outputs, sources }: &SensorSide<'_>,
     responses: &Responses,
     (anchor, x, amounts): (&Anchor, &Placed, &[f64]),
     (g, ways): (usize, &[(&Placed, Vec<f64>)]),
     mut visit: impl FnMut(&mut Bin),
 ) {
-    let group = &scene.groups[g];
+    let (group, Some(outputs)) = (&scene.groups[g], &outputs[g]) else { return };
     let n_sensor = scene.problem.array.outputs.len();
     let n_record = group.records.len();
     let removed = scene.estimated_interference(effects, g);
     let mut bin = Bin::new(n_record, n_record * n_sensor, ways.len());
-    let all = Operators::new(scene, effects);
-    let seen_by = scene.input_sensor(effects, &all, g);
+    let seen_by = scene.input_sensor(effects, all, g);
     let input = |r: usize| {
         let response = &responses.records[g][r];
-        if response.seen_by == seen_by { response.input.clone() } else { scene.true_input(effects, &all, g, r) }
+        if response.seen_by == seen_by { response.input.clone() } else { scene.true_input(effects, all, g, r) }
     };
     let inputs: Vec<Vec<C64>> = (0..n_record).map(input).collect();
     let half = smoothing(&group.frequencies_hz);
@@ -126,16 +154,15 @@ fn each_bin(
         way
     };
     let ways: Vec<Vec<Vec<C64>>> = ways.iter().map(|way| (0..n_record).map(|r| on_the_way(way, r)).collect()).collect();
-    let sources: Vec<usize> = (0..=n_sensor).map(|s| scene.source(effects, s)).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
-    for (k, f) in group.frequencies_hz.iter().enumerate() {
-        let undone = all.input_undone(*f);
-        for s in 0..n_sensor {
-            let operator = &all.at(s + 1, *f);
+    let undone = all.input_undone(&group.frequencies_hz);
+    let bins = group.frequencies_hz.iter().zip(undone.iter().zip(outputs.chunks_exact(n_sensor.max(1))));
+    for (k, (f, (undone, outputs))) in bins.enumerate() {
+        for (s, operator) in outputs.iter().enumerate() {
             let arrival = all.arrival(scene.problem.array.depths_m[s], *f);
             for r in 0..n_record {
                 let row = r * n_sensor + s;
-                bin.model[row].fill(C64::default());
+                bin.model[row * n_record..(row + 1) * n_record].fill(C64::default());
                 bin.predicted[row] = C64::default();
                 bin.ways.iter_mut().for_each(|way| way[row] = C64::default());
                 for q in 0..n_record {
@@ -164,7 +191,7 @@ fn each_bin(
                     motion += arrival;
                     bin.predicted[row] += weight * predicted;
                     for p in 0..n_record {
-                        bin.model[row][p] += weight * motion * entry(&undone, components[q], components[p]);
+                        bin.model[row * n_record + p] += weight * motion * entry(undone, components[q], components[p]);
                     }
                 }
                 let record = &group.records[r];
@@ -187,7 +214,8 @@ fn each_bin(
 
 /// One frequency of one event.
 struct Bin {
-    model: Vec<Vec<C64>>,
+    /// `[row][input]`.
+    model: Vec<C64>,
     predicted: Vec<C64>,
     measured: Vec<C64>,
     residual: Vec<C64>,
@@ -200,7 +228,7 @@ struct Bin {
 impl Bin {
     fn new(n_input: usize, n_row: usize, n_way: usize) -> Self {
         Self {
-            model: vec![vec![C64::default(); n_input]; n_row],
+            model: vec![C64::default(); n_input * n_row],
             predicted: vec![C64::default(); n_row],
             measured: vec![C64::default(); n_row],
             residual: vec![C64::default(); n_row],
@@ -215,7 +243,7 @@ impl Bin {
     fn whiten(&mut self, out: &mut [Vec<f64>]) {
         let n_input = self.input_noise.len();
         let roots: Vec<f64> = self.input_noise.iter().map(|s| s.sqrt()).collect();
-        for (row, (model, noise)) in self.model.iter_mut().zip(&self.noise).enumerate() {
+        for (row, (model, noise)) in self.model.chunks_exact_mut(n_input).zip(&self.noise).enumerate() {
             let scale = 1.0 / noise.sqrt();
             self.residual[row] *= scale;
             self.ways.iter_mut().for_each(|way| way[row] *= scale);
@@ -223,14 +251,16 @@ impl Bin {
                 *a *= scale * root;
             }
         }
-        let dot = |p: usize, value: &dyn Fn(usize) -> C64| -> C64 {
-            self.model.iter().enumerate().map(|(i, row)| row[p].conj() * value(i)).sum()
-        };
         let zero = C64::default();
         let two = n_input > 1;
-        let g00 = dot(0, &|i| self.model[i][0]).re;
-        let g11 = if two { dot(1, &|i| self.model[i][1]).re } else { 0.0 };
-        let g01 = if two { dot(0, &|i| self.model[i][1]) } else { zero };
+        let (mut g00, mut g11, mut g01) = (0.0, 0.0, zero);
+        for row in self.model.chunks_exact(n_input) {
+            g00 += row[0].norm_sqr();
+            if two {
+                g11 += row[1].norm_sqr();
+                g01 += row[0].conj() * row[1];
+            }
+        }
         // W = f(G) = α I + β G for a Hermitian two-by-two G with eigenvalues g1, g2.
         let half = 0.5 * (g00 + g11);
         let spread = (0.25 * (g00 - g11) * (g00 - g11) + g01.norm_sqr()).sqrt();
@@ -244,12 +274,18 @@ impl Bin {
         };
         let alpha = f1 - beta * g1;
         for (values, out) in std::iter::once(&self.residual).chain(&self.ways).zip(out) {
-            let b = [dot(0, &|i| values[i]), if two { dot(1, &|i| values[i]) } else { zero }];
+            let mut b = [zero; 2];
+            for (row, value) in self.model.chunks_exact(n_input).zip(values) {
+                b[0] += row[0].conj() * value;
+                if two {
+                    b[1] += row[1].conj() * value;
+                }
+            }
             let w = [
                 b[0] * (alpha + beta * g00) + g01 * b[1] * beta,
                 b[1] * (alpha + beta * g11) + g01.conj() * b[0] * beta,
             ];
-            for (row, r) in self.model.iter().zip(values) {
+            for (row, r) in self.model.chunks_exact(n_input).zip(values) {
                 let mut value = r - row[0] * w[0];
                 if two {
                     value -= row[1] * w[1];
@@ -275,8 +311,8 @@ mod tests {
     fn whitening_is_the_inverse_square_root_of_the_covariance() {
         let c = C64::new;
         let mut bin = Bin::new(2, 3, 1);
-        bin.model =
-            vec![vec![c(2.0, 1.0), c(0.1, -0.3)], vec![c(-0.5, 0.4), c(1.5, 0.2)], vec![c(3.0, -2.0), c(0.3, 0.0)]];
+        let model = [[c(2.0, 1.0), c(0.1, -0.3)], [c(-0.5, 0.4), c(1.5, 0.2)], [c(3.0, -2.0), c(0.3, 0.0)]];
+        bin.model = model.concat();
         bin.residual = vec![c(0.4, -0.1), c(1.0, 0.7), c(-0.2, 0.5)];
         bin.ways[0] = bin.residual.iter().map(|r| r * 2.0).collect();
         bin.noise = vec![0.5, 1.0, 0.2];
@@ -285,7 +321,7 @@ mod tests {
         for (i, row) in sigma.iter_mut().enumerate() {
             for (j, value) in row.iter_mut().enumerate() {
                 for p in 0..2 {
-                    *value += bin.model[i][p] * bin.model[j][p].conj() * bin.input_noise[p];
+                    *value += model[i][p] * model[j][p].conj() * bin.input_noise[p];
                 }
                 if i == j {
                     *value += bin.noise[i];
@@ -319,7 +355,7 @@ mod tests {
     #[test]
     fn one_component_alone_is_whitened_too() {
         let mut bin = Bin::new(1, 1, 0);
-        bin.model[0][0] = C64::new(3.0, 0.0);
+        bin.model[0] = C64::new(3.0, 0.0);
         bin.residual[0] = C64::new(1.0, 1.0);
         bin.noise[0] = 1.0;
         bin.input_noise[0] = 1.0;

@@ -3,6 +3,7 @@
 use super::responses::Scene;
 use crate::effects::{Effect, Operator, Place};
 use realfft::num_complex::Complex;
+use std::sync::{Arc, Mutex, PoisonError};
 
 type C64 = Complex<f64>;
 
@@ -13,6 +14,8 @@ pub struct Operators<'e> {
     arriving: Vec<&'e dyn Effect>,
     names: Vec<&'e str>,
     components: &'e [String],
+    /// What undoes the input sensor at the frequencies asked for so far.
+    undone: Mutex<Vec<(Vec<f64>, Arc<Vec<Operator>>)>>,
 }
 
 impl<'e> Operators<'e> {
@@ -29,6 +32,7 @@ impl<'e> Operators<'e> {
             arriving: effects.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect(),
             names,
             components,
+            undone: Mutex::default(),
         }
     }
 
@@ -39,9 +43,20 @@ impl<'e> Operators<'e> {
         all.reduce(|all, next| next.after(&all)).unwrap_or(Operator::IDENTITY)
     }
 
-    /// What undoes the input sensor.
-    pub fn input_undone(&self, frequency_hz: f64) -> Operator {
-        self.at(0, frequency_hz).undone()
+    /// What undoes the input sensor at these frequencies: once for all records that share them.
+    pub fn input_undone(&self, frequencies_hz: &[f64]) -> Arc<Vec<Operator>> {
+        let mut known = self.undone.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((_, undone)) = known.iter().find(|(f, _)| f == frequencies_hz) {
+            return undone.clone();
+        }
+        let undone = Arc::new(frequencies_hz.iter().map(|f| self.at(0, *f).undone()).collect::<Vec<_>>());
+        known.push((frequencies_hz.to_vec(), undone.clone()));
+        undone
+    }
+
+    /// What output sensors make of the motion at these frequencies, `[bin][sensor]`.
+    pub fn outputs(&self, frequencies_hz: &[f64]) -> Vec<Operator> {
+        frequencies_hz.iter().flat_map(|f| (1..self.names.len()).map(|sensor| self.at(sensor, *f))).collect()
     }
 
     /// Further arrivals at `depth_m`, as a factor on the true base motion.
@@ -94,8 +109,8 @@ impl Scene<'_> {
         let added: Vec<Option<Vec<C64>>> = (0..group.records.len()).map(added).collect();
         let recorded = |c: usize, k: usize| group.records[c].channels[source][k] - taken(&added[c], k);
         let event = group.records[r].event;
-        let bins = group.frequencies_hz.iter().enumerate();
-        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| recorded(c, k))).collect()
+        let undone = operators.input_undone(&group.frequencies_hz);
+        undone.iter().enumerate().map(|(k, undone)| self.mixed(undone, g, event, |c| recorded(c, k))).collect()
     }
 
     /// The same at the frequencies of the convolver.
@@ -109,8 +124,8 @@ impl Scene<'_> {
         let added: Vec<Option<Vec<C64>>> = (0..group.records.len()).map(added).collect();
         let recorded = |c: usize, k: usize| group.records[c].padded[source][k] - taken(&added[c], k);
         let event = group.records[r].event;
-        let bins = group.convolver.frequencies_hz.iter().enumerate();
-        bins.map(|(k, f)| self.mixed(&operators.input_undone(*f), g, event, |c| recorded(c, k))).collect()
+        let undone = operators.input_undone(&group.convolver.frequencies_hz);
+        undone.iter().enumerate().map(|(k, undone)| self.mixed(undone, g, event, |c| recorded(c, k))).collect()
     }
 }
 
