@@ -50,7 +50,7 @@ fn problem(truth: Option<&str>) -> Option<Problem> {
 }
 
 fn standing(problem: &Problem) -> Vec<Standing> {
-    diagnosis::standing(problem, &DiagnoseSettings::default())
+    diagnosis::standing(problem, None, &DiagnoseSettings::default())
 }
 
 /// `problem` without each of its events in turn.

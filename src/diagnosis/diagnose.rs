@@ -44,7 +44,8 @@ pub fn diagnose(
     thresholds: &Thresholds,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
-    let standing = decided(standing(problem, settings), problem, replay, settings)?;
+    let standing = standing(problem, Some(&replay.replay(&[])?), settings);
+    let standing = decided(standing, problem, replay, settings)?;
     let answer = |standing: Vec<Standing>| -> Result<Diagnosis> {
         if standing.is_empty() {
             return diagnose_rest(problem, replay, settings, thresholds, progress);
@@ -125,8 +126,9 @@ fn diagnose_rest(
     }
     let mut path = path.ok_or_else(|| Error::new("nothing was recalibrated"))?;
     progress.start("diagnosis", settings.max_effects as u64);
-    // Where the recalibrated model leaves no more than noise, there is nothing to explain.
-    let rounds = if path.recalibrated.excess() > 0.0 { settings.max_effects } else { 0 };
+    // Where the recalibrated model leaves no more than noise and is close to what is declared, there is nothing to explain.
+    let is_open = path.recalibrated.excess() > 0.0 || path.recalibrated.is_strained();
+    let rounds = if is_open { settings.max_effects } else { 0 };
     for number in 1..=rounds {
         let ground = (number, around_plain.take());
         if path.corrected.is_strained() {

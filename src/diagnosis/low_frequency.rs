@@ -3,7 +3,7 @@
 
 mod column;
 
-use super::problem::Problem;
+use super::problem::{Event, Motions, Problem};
 use column::{first_order_s2, travel_s};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
@@ -21,8 +21,12 @@ const FEWEST: [usize; 2] = [4, 5];
 const NOISIEST: f64 = 0.2;
 /// Share of each end that is tapered.
 const TAPER_SHARE: f64 = 0.04;
-/// Prior means and standard deviations of ln a/a₀, ξ and κ.
-const SHAPE: [[f64; 2]; 3] = [[0.0, 0.5], [0.05, 0.05], [1.0, 0.5]];
+/// Prior standard deviations of ln a/a₀, of ξ less [`DAMPING`], and of κ less one.
+const SHAPE: [f64; 3] = [0.5, 0.05, 0.5];
+/// ξ₀: damping ratio of a column that was not replayed.
+const DAMPING: f64 = 0.05;
+/// Share of the bins that tell how soft an event has made the column.
+const SOFTENED: f64 = 1.0 / 3.0;
 /// Fall of χ² that each further parameter must bring.
 const CHARGE: f64 = 16.0;
 /// Steps of a fit, and of one without an event.
@@ -53,100 +57,190 @@ struct Shot {
     frequencies_hz: Vec<f64>,
     input: Vec<[C64; 2]>,
     outputs: Vec<Vec<[C64; 2]>>,
-    /// Share of noise in the power of the input.
-    noise: f64,
+    /// h₀ U of each output sensor.
+    passed: Vec<Vec<[C64; 2]>>,
+    /// a₀ of each output sensor.
+    a0: Vec<f64>,
     components: usize,
 }
 
-/// Compares every output sensor of `problem` with the input sensor, from `low_hz` to about half the declared first resonance.
+/// What a declared column does below its resonance.
+struct Declared<'a> {
+    problem: &'a Problem,
+    /// Its motions in every event, where it was replayed.
+    replays: Option<&'a Motions>,
+    /// a₀ and r of each output sensor.
+    shapes: Vec<[f64; 2]>,
+    /// Lowest and highest frequency.
+    band_hz: [f64; 2],
+}
+
+/// Compares every output sensor of `problem` with the input sensor, from `low_hz` to about half the declared first resonance, and
+/// with what the declared column makes of each event where `replays` tell.
 ///
 /// ```text
-/// Y(f) = g e^{−2πifτ} / (1 − i f_h/f)² · h(f) · R(φ) M · U(f) (1 − ν)                                 (1)
-/// ln h = a f² (1 − 2iξ) + κ/3 · (1 + r²)/(1 − r²) · a² f⁴ (1 − 4iξ)                                 (2)
-/// a₀   = (2π)² ∫_z^H m(z')/G(z') dz'       m the mass above z', r = travel times 0…z over 0…H         (3)
+/// Y(f)    = g e^{−2πifτ} / (1 − i f_h/f)² · h/h₀ (f) · R(φ) M · h₀ U                                   (1)
+/// ln h    = a f² (1 − 2iξ) + κ/3 · (1 + r²)/(1 − r²) · a² f⁴ (1 − 4iξ)                               (2)
+/// a₀      = (2π)² ∫_z^H m(z')/G(z') dz'       m the mass above z', r = travel times 0…z over 0…H      (3)
 /// ```
 ///
 /// (2) is the column's transfer function up to f⁴, real and positive but for damping, exact for a uniform one with κ = 1. Its
-/// a, ξ and κ are free within wide priors, so that the declared profile is not trusted. M is the identity or a reflection. ν
-/// is the share of noise in the input, which lowers a regression. The noise of each event is what (1) leaves of it.
+/// a, ξ and κ are free within wide priors around the declared ones, so that the declared profile is not trusted. M is the identity
+/// or a reflection. The noise of each event is what (1) leaves of it.
+///
+/// h₀ U is the replay's motion: strong shaking makes soil soft and damps it, and lowers its resonance. a₀ of the event is then
+/// its regression on f², and the event counts up to half its own resonance. Without a replay h₀ is (2) with (3), less the share
+/// of noise in the input, which lowers a regression.
 ///
 /// Limits: below the first resonance a delay and a low-pass of corner 1/(2πτ) are the same, and an error of an output sensor
 /// is the opposite one of the input sensor; needs records with power there.
-/// Check:  `errors_of_a_sensor_are_found_under_a_profile_that_is_far_off`.
+/// Check:  `errors_of_a_sensor_are_found_under_a_profile_that_is_far_off`, `soil_that_gets_soft_is_no_late_clock`.
 /// Source: Kramer (1996), Geotechnical Earthquake Engineering, section 7.2, for the uniform column.
-pub fn passed(problem: &Problem, low_hz: f64) -> Vec<Passed> {
+pub fn passed(problem: &Problem, replays: Option<&Motions>, low_hz: f64) -> Vec<Passed> {
     let profile = &problem.array.profile;
     let whole_s = travel_s(profile, profile.depth_m());
-    let shots = shots(problem, [low_hz, SHARE_OF_RESONANCE * 0.25 / whole_s]);
+    let shape = |depth_m: &f64| [first_order_s2(profile, *depth_m), travel_s(profile, *depth_m) / whole_s];
+    let declared = Declared {
+        problem,
+        replays,
+        shapes: problem.array.depths_m.iter().map(shape).collect(),
+        band_hz: [low_hz, SHARE_OF_RESONANCE * 0.25 / whole_s],
+    };
+    let shots = declared.shots();
     if shots.len() < FEWEST[0] {
         return Vec::new();
     }
-    let of = |output: usize| {
-        let depth_m = problem.array.depths_m[output];
-        let ratio = travel_s(profile, depth_m) / whole_s;
-        let a0 = first_order_s2(profile, depth_m);
-        (ratio < 0.95).then(|| Comparison { shots: &shots, output, a0, ratio, reflection: IDENTITY }.judged())
+    let of = |(output, [_, ratio]): (usize, &[f64; 2])| {
+        let comparison = Comparison { shots: &shots, output, ratio: *ratio, reflection: IDENTITY };
+        (*ratio < DEEPEST).then(|| comparison.judged())
     };
-    (0..problem.array.outputs.len()).filter_map(of).collect()
+    declared.shapes.iter().enumerate().filter_map(of).collect()
 }
+
+/// Travel time to a sensor over that to the base beyond which nothing is compared.
+const DEEPEST: f64 = 0.95;
 
 const IDENTITY: [[f64; 2]; 2] = [[1.0, 0.0], [0.0, 1.0]];
 
-/// Events with enough bins and little noise; a component alone stands first.
-fn shots(problem: &Problem, band_hz: [f64; 2]) -> Vec<Shot> {
-    let mut names: Vec<&str> = Vec::new();
-    for event in &problem.events {
-        if !names.contains(&event.name.as_str()) {
-            names.push(&event.name);
+impl Declared<'_> {
+    /// Events with enough bins and little noise; a component alone stands first.
+    fn shots(&self) -> Vec<Shot> {
+        let mut names: Vec<&str> = Vec::new();
+        for event in &self.problem.events {
+            if !names.contains(&event.name.as_str()) {
+                names.push(&event.name);
+            }
         }
+        names.iter().filter_map(|name| self.shot(name)).collect()
     }
-    names.iter().filter_map(|name| shot(problem, name, band_hz)).collect()
+
+    fn shot(&self, name: &str) -> Option<Shot> {
+        let mut members: Vec<_> = self.problem.events.iter().enumerate().filter(|(_, e)| e.name == name).collect();
+        members.sort_by_key(|(_, e)| e.component());
+        members.truncate(2);
+        // A second component alone cannot be told from the first, so such an event would only confuse signs.
+        if members.len() < self.problem.array.components.len().min(2) {
+            return None;
+        }
+        let dt_s = members[0].1.dt_s;
+        let n = members.iter().map(|(_, e)| e.input.len()).min()?;
+        let step_hz = 1.0 / (n as f64 * dt_s);
+        let [low_hz, high_hz] = self.band_hz;
+        let first = (low_hz / step_hz).ceil() as usize;
+        let last = (high_hz / step_hz).floor() as usize;
+        if members.iter().any(|(_, e)| e.dt_s != dt_s) || last + 1 < first + FEWEST[1] || last > n / 2 {
+            return None;
+        }
+        let plan = RealFftPlanner::<f64>::new().plan_fft_forward(n);
+        let spectrum = |x: &[f64]| {
+            let x = x.get(..n)?;
+            let mean = x.iter().sum::<f64>() / n as f64;
+            let mut tapered: Vec<f64> = x.iter().enumerate().map(|(i, v)| (v - mean) * taper(i, n)).collect();
+            let mut out = plan.make_output_vec();
+            plan.process(&mut tapered, &mut out).ok()?;
+            Some(out[first..=last].to_vec())
+        };
+        let both = |of: &dyn Fn(usize, &Event) -> Option<Vec<C64>>| -> Option<Vec<[C64; 2]>> {
+            let one = of(members[0].0, members[0].1)?;
+            let zero = || Some(vec![C64::default(); one.len()]);
+            let other = members.get(1).map_or_else(zero, |(i, e)| of(*i, e))?;
+            Some(one.into_iter().zip(other).map(|(a, b)| [a, b]).collect())
+        };
+        let every = |of: &dyn Fn(usize, usize, &Event) -> Option<Vec<C64>>| -> Option<Vec<Vec<[C64; 2]>>> {
+            (0..self.shapes.len()).map(|s| both(&|i, e| of(s, i, e))).collect()
+        };
+        let input = both(&|_, e| spectrum(&e.input))?;
+        let outputs = every(&|s, _, e| spectrum(e.outputs.get(s)?))?;
+        let frequencies_hz: Vec<f64> = (first..=last).map(|k| k as f64 * step_hz).collect();
+        let weight: f64 = (0..n).map(|i| taper(i, n).powi(2)).sum();
+        let density = |e: &Event| frequencies_hz.iter().map(|f| weight * e.noise[0].at(*f) / (2.0 * dt_s)).sum::<f64>();
+        let power: f64 = input.iter().flatten().map(C64::norm_sqr).sum();
+        let noise = members.iter().map(|(_, e)| density(e)).sum::<f64>() / power;
+        let replayed = |replays: &Motions| every(&|s, i, _| spectrum(replays.get(i)?.as_ref()?.get(s)?));
+        let passed = match self.replays {
+            Some(replays) => replayed(replays)?,
+            None => self.uniform(&input, &frequencies_hz, 1.0 - noise),
+        };
+        let mut shot = Shot {
+            a0: self.shapes.iter().map(|[a0, _]| *a0).collect(),
+            frequencies_hz,
+            input,
+            outputs,
+            passed,
+            components: members.len(),
+        };
+        let softer = self.replays.map_or(1.0, |_| self.soften(&mut shot));
+        shot.end_at(high_hz / softer.sqrt());
+        (noise < NOISIEST && shot.frequencies_hz.len() >= FEWEST[1]).then_some(shot)
+    }
+
+    /// A `share` of (2) under the `input`.
+    fn uniform(&self, input: &[[C64; 2]], frequencies_hz: &[f64], share: f64) -> Vec<Vec<[C64; 2]>> {
+        let of = |[a0, ratio]: &[f64; 2]| {
+            let at = |(u, f): (&[C64; 2], &f64)| u.map(|u| u * (ln_h(a0 * f * f, *ratio, [0.0; 3]).exp() * share));
+            input.iter().zip(frequencies_hz).map(at).collect()
+        };
+        self.shapes.iter().map(of).collect()
+    }
+
+    /// Gives `shot` the a₀ of its own motions; by how much these are larger than the declared ones, for most sensors.
+    fn soften(&self, shot: &mut Shot) -> f64 {
+        let count = ((SOFTENED * shot.frequencies_hz.len() as f64) as usize).max(FEWEST[1]);
+        let mut factors = Vec::new();
+        for ((a0, passed), [declared, ratio]) in shot.a0.iter_mut().zip(&shot.passed).zip(&self.shapes) {
+            let (mut product, mut square) = (0.0, 0.0);
+            for ((f, u), y) in shot.frequencies_hz.iter().zip(&shot.input).zip(passed).take(count) {
+                for (u, y) in u.iter().zip(y) {
+                    product += f * f * ((y - u) * u.conj()).re;
+                    square += f.powi(4) * u.norm_sqr();
+                }
+            }
+            let factor = product / square / declared;
+            if *ratio < DEEPEST && factor.is_finite() {
+                *a0 = declared * factor.max(1.0);
+                factors.push(factor.max(1.0));
+            }
+        }
+        factors.sort_by(f64::total_cmp);
+        factors.get(factors.len() / 2).copied().unwrap_or(1.0)
+    }
 }
 
-fn shot(problem: &Problem, name: &str, [low_hz, high_hz]: [f64; 2]) -> Option<Shot> {
-    let mut members: Vec<_> = problem.events.iter().filter(|e| e.name == name).collect();
-    members.sort_by_key(|e| e.component());
-    members.truncate(2);
-    // A second component alone cannot be told from the first, so such an event would only confuse signs.
-    if members.len() < problem.array.components.len().min(2) {
-        return None;
+impl Shot {
+    /// Leaves out what lies beyond a frequency.
+    fn end_at(&mut self, high_hz: f64) {
+        let count = self.frequencies_hz.iter().filter(|f| **f <= high_hz).count();
+        self.frequencies_hz.truncate(count);
+        self.input.truncate(count);
+        self.outputs.iter_mut().chain(&mut self.passed).for_each(|bins| bins.truncate(count));
     }
-    let dt_s = members[0].dt_s;
-    let n = members.iter().map(|e| e.input.len()).min()?;
-    let step_hz = 1.0 / (n as f64 * dt_s);
-    let first = (low_hz / step_hz).ceil() as usize;
-    let last = (high_hz / step_hz).floor() as usize;
-    if members.iter().any(|e| e.dt_s != dt_s) || last + 1 < first + FEWEST[1] || last > n / 2 {
-        return None;
-    }
-    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(n);
-    let spectrum = |x: &[f64]| {
-        let mean = x[..n].iter().sum::<f64>() / n as f64;
-        let mut tapered: Vec<f64> = x[..n].iter().enumerate().map(|(i, v)| (v - mean) * taper(i, n)).collect();
-        let mut out = plan.make_output_vec();
-        plan.process(&mut tapered, &mut out).ok()?;
-        Some(out[first..=last].to_vec())
-    };
-    let both = |of: &dyn Fn(&super::problem::Event) -> Option<Vec<C64>>| -> Option<Vec<[C64; 2]>> {
-        let one = of(members[0])?;
-        let other = members.get(1).map_or_else(|| Some(vec![C64::default(); one.len()]), |e| of(e))?;
-        Some(one.into_iter().zip(other).map(|(a, b)| [a, b]).collect())
-    };
-    let input = both(&|e| spectrum(&e.input))?;
-    let outputs =
-        (0..problem.array.outputs.len()).map(|s| both(&|e| spectrum(&e.outputs[s]))).collect::<Option<_>>()?;
-    let frequencies_hz: Vec<f64> = (first..=last).map(|k| k as f64 * step_hz).collect();
-    let weight: f64 = (0..n).map(|i| taper(i, n).powi(2)).sum();
-    let noise: f64 =
-        members.iter().flat_map(|e| frequencies_hz.iter().map(|f| weight * e.noise[0].at(*f) / (2.0 * dt_s))).sum();
-    let power: f64 = input.iter().flatten().map(C64::norm_sqr).sum();
-    (noise < NOISIEST * power).then(|| Shot {
-        frequencies_hz,
-        input,
-        outputs,
-        noise: noise / power,
-        components: members.len(),
-    })
+}
+
+/// (2) for a₀ f² = `a`, with ln a/a₀, ξ − ξ₀ and κ − 1.
+fn ln_h(a: f64, ratio: f64, [ln_a, xi, kappa]: [f64; 3]) -> C64 {
+    let uniform = (1.0 + ratio * ratio) / (1.0 - ratio * ratio) / 3.0;
+    let a = a * ln_a.exp();
+    C64::new(a, -2.0 * (DAMPING + xi) * a) + C64::new(1.0, -4.0 * (DAMPING + xi)) * ((1.0 + kappa) * uniform * a * a)
 }
 
 fn taper(i: usize, n: usize) -> f64 {
@@ -158,12 +252,11 @@ fn taper(i: usize, n: usize) -> f64 {
 struct Comparison<'a> {
     shots: &'a [Shot],
     output: usize,
-    a0: f64,
     ratio: f64,
     reflection: [[f64; 2]; 2],
 }
 
-/// Unknowns of (1) and (2): ln a/a₀, ξ, κ, then ln g, τ, f_h, φ.
+/// Unknowns of (1) and (2): ln a/a₀, ξ − ξ₀, κ − 1, then ln g, τ, f_h, φ.
 const N: usize = 7;
 /// Bounds of the unknowns to either side: beyond them a step has gone astray.
 const BOUNDS: [f64; N] = [2.0, 0.5, 4.0, 3.0, 0.3, 0.3, 7.0];
@@ -247,14 +340,14 @@ impl Comparison<'_> {
     /// (y, u, weight) of every bin, events weighing alike.
     fn pairs(&self) -> impl Iterator<Item = ([C64; 2], [C64; 2], f64)> {
         self.shots.iter().flat_map(|shot| {
-            let power: f64 = shot.input.iter().flatten().map(C64::norm_sqr).sum();
-            shot.outputs[self.output].iter().zip(&shot.input).map(move |(y, u)| (*y, *u, 1.0 / power))
+            let passed = &shot.passed[self.output];
+            let power: f64 = passed.iter().flatten().map(C64::norm_sqr).sum();
+            shot.outputs[self.output].iter().zip(passed).map(move |(y, u)| (*y, *u, 1.0 / power))
         })
     }
 
     fn start(&self, set: [bool; 4]) -> [f64; N] {
         let mut x = [0.0; N];
-        SHAPE.iter().enumerate().for_each(|(i, [mean, _])| x[i] = *mean);
         if set[3] {
             // A rotation may be far from none, so the angle starts where the records point.
             let (mut sin, mut cos) = (0.0, 0.0);
@@ -276,12 +369,11 @@ impl Comparison<'_> {
     fn predicted(&self, shot: &Shot, k: usize, x: &[f64; N]) -> [C64; 2] {
         let f = shot.frequencies_hz[k];
         let [ln_a, xi, kappa, ln_g, tau, corner_hz, phi] = *x;
-        let a = self.a0 * ln_a.exp() * f * f;
-        let uniform = (1.0 + self.ratio * self.ratio) / (1.0 - self.ratio * self.ratio) / 3.0;
-        let ln_h = C64::new(a, -2.0 * xi * a) + C64::new(1.0, -4.0 * xi) * (kappa * uniform * a * a); // (2)
+        let a0 = shot.a0[self.output] * f * f;
+        let column = ln_h(a0, self.ratio, [ln_a, xi, kappa]) - ln_h(a0, self.ratio, [0.0; 3]);
         let sensor = C64::new(ln_g, -TAU * f * tau).exp() / C64::new(1.0, -corner_hz / f).powi(2);
-        let factor = sensor * ln_h.exp() * (1.0 - shot.noise);
-        let [u, v] = self.seen(shot.input[k]);
+        let factor = sensor * column.exp();
+        let [u, v] = self.seen(shot.passed[self.output][k]);
         let (sin, cos) = phi.sin_cos();
         [factor * (u * cos + v * sin), factor * (v * cos - u * sin)] // (1)
     }
@@ -323,9 +415,9 @@ impl Comparison<'_> {
             let (mut normal, mut gradient) = ([[0.0; N]; N], [0.0; N]);
             for i in 0..N {
                 match SHAPE.get(i) {
-                    Some([mean, deviation]) => {
+                    Some(deviation) => {
                         normal[i][i] = deviation.powi(-2);
-                        gradient[i] = (mean - x[i]) * deviation.powi(-2);
+                        gradient[i] = -x[i] * deviation.powi(-2);
                     }
                     None => normal[i][i] = if is_free(i) { 1e-9 } else { 1.0 },
                 }
@@ -368,7 +460,7 @@ impl Comparison<'_> {
             let of = |k: usize| self.residual(shot, k, &x).iter().map(C64::norm_sqr).sum::<f64>();
             (0..shot.input.len()).map(of).sum::<f64>() * 2.0 / noise[*e]
         };
-        let prior: f64 = SHAPE.iter().zip(&x).map(|([mean, deviation], x)| ((x - mean) / deviation).powi(2)).sum();
+        let prior: f64 = SHAPE.iter().zip(&x).map(|(deviation, x)| (x / deviation).powi(2)).sum();
         Fit { x, chi2: who.iter().map(left).sum::<f64>() + prior, deviations }
     }
 }

@@ -83,7 +83,7 @@ pub use outcome::{
     Verdict,
 };
 pub use power::{Confusion, Power, Sensitivity, power};
-pub use problem::{Event, NoiseSpectrum, Problem, Replay};
+pub use problem::{Event, Motions, NoiseSpectrum, Problem, Replay};
 pub use repeatable::{Partition, partition};
 pub use responses::Scene;
 pub use settings::DiagnoseSettings;

@@ -44,6 +44,9 @@ impl Event {
     }
 }
 
+/// True motions at the output sensors in every event, `[sensor][step]`, m/s²; `None` where the column did not finish.
+pub type Motions = Vec<Option<Vec<Vec<f64>>>>;
+
 /// Power spectral density of a sensor's noise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct NoiseSpectrum {

@@ -3,7 +3,7 @@
 use super::hygiene::Suspicion;
 use super::low_frequency::{Error, Passed, passed};
 use super::outcome::{Estimate, Found};
-use super::problem::{Problem, Replay};
+use super::problem::{Motions, Problem, Replay};
 use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
@@ -199,15 +199,15 @@ pub(super) const KINDS: [[&str; 3]; 4] = [
     ["sensor_orientation", "azimuth_deg", "°"],
 ];
 
-/// Errors of sensors in `problem` that stand out of the declared tolerances.
+/// Errors of sensors in `problem` that stand out of the declared tolerances, whether the declared column was replayed or not.
 ///
 /// One output sensor tells no more than its error less that of the input sensor: it is then put down to the output sensor.
 /// What most of several output sensors share is put down to the input sensor.
 ///
 /// Limits: waves that come aslant or run along the surface are in `FIELD` only; at a low-pass or a base that lets waves out, motions are late at low frequencies as if a clock were wrong.
 /// Check:  `what_all_outputs_share_is_the_input_sensors`.
-pub fn standing(problem: &Problem, settings: &DiagnoseSettings) -> Vec<Standing> {
-    let passed = passed(problem, settings.band_hz[0]);
+pub fn standing(problem: &Problem, replays: Option<&Motions>, settings: &DiagnoseSettings) -> Vec<Standing> {
+    let passed = passed(problem, replays, settings.band_hz[0]);
     let array = &problem.array;
     let n = passed.len();
     if n == 0 {

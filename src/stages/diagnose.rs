@@ -24,7 +24,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        20
+        21
     }
 
     fn reads(&self) -> &'static [&'static str] {

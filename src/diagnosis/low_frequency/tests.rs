@@ -1,7 +1,8 @@
 //! Sensors of a made-up array whose declared profile is far off.
 
-use super::super::made_up::{DEPTH_M, array, problem};
+use super::super::made_up::{DEPTH_M, array, problem, transfer};
 use super::*;
+use crate::numerics::spectrum;
 
 #[test]
 fn errors_of_a_sensor_are_found_under_a_profile_that_is_far_off() {
@@ -16,7 +17,7 @@ fn errors_of_a_sensor_are_found_under_a_profile_that_is_far_off() {
     for sensor in ["top", "base"] {
         for (kind, parameter, value, close) in cases {
             let text = format!("kind = '{kind}'\nsensor = '{sensor}'\n{parameter} = {value:?}");
-            let found = super::super::standing(&problem(&text), &settings);
+            let found = super::super::standing(&problem(&text), None, &settings);
             // A high-pass of the input sensor is no high-pass of the others, and nothing is said of it.
             if kind == "instrument_high_pass" && sensor == "base" {
                 continue;
@@ -29,12 +30,12 @@ fn errors_of_a_sensor_are_found_under_a_profile_that_is_far_off() {
         }
         for text in ["kind = 'sensor_polarity'\ncomponent = 'NS'", "kind = 'swapped_channels'"] {
             let text = format!("{text}\nsensor = '{sensor}'");
-            let found = super::super::standing(&problem(&text), &settings);
+            let found = super::super::standing(&problem(&text), None, &settings);
             let tables: Vec<toml::Table> = found.into_iter().map(|s| s.found.table).collect();
             assert_eq!(tables, [toml::from_str::<toml::Table>(&text).unwrap()]);
         }
     }
-    assert!(super::super::standing(&problem(""), &settings).is_empty());
+    assert!(super::super::standing(&problem(""), None, &settings).is_empty());
 }
 
 #[test]
@@ -55,4 +56,29 @@ fn the_first_order_is_that_of_the_exact_column() {
         let [one, two] = [&array.profile, &cut].map(|p| first_order_s2(p, depth_m));
         assert!((one - two).abs() < 1e-12 && (travel_s(&cut, depth_m) - depth_m / 150.0).abs() < 1e-12);
     }
+}
+
+#[test]
+fn soil_that_gets_soft_is_no_late_clock() {
+    let settings = super::super::DiagnoseSettings::default();
+    let mut problem = problem("");
+    // Soil far softer than declared at rest, the more so the stronger an event; the replayed column knows by how much, to a few percent.
+    let moved = |event: &Event, vs_m_s: f64, damping_ratio: f64| -> Vec<Vec<f64>> {
+        let at = |z: f64| {
+            let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
+                [u * transfer(vs_m_s, damping_ratio, z, f)]
+            });
+            motion
+        };
+        [20.0, 0.0].map(at).to_vec()
+    };
+    let mut replays = Vec::new();
+    for (i, event) in problem.events.iter_mut().enumerate() {
+        let (vs_m_s, damping_ratio) = (130.0 - 6.0 * i as f64, 0.15 + 0.02 * i as f64);
+        event.outputs = moved(event, vs_m_s, damping_ratio);
+        replays.push(Some(moved(event, 1.04 * vs_m_s, 0.9 * damping_ratio)));
+    }
+    let found = |replays| super::super::standing(&problem, replays, &settings);
+    assert!(found(Some(&replays)).is_empty(), "{:?}", found(Some(&replays)));
+    assert!(found(None).iter().any(|s| s.found.kind == "clock_offset"), "{:?}", found(None));
 }
