@@ -320,8 +320,8 @@ mod tests {
         let mut sigma = [[c(0.0, 0.0); 3]; 3];
         for (i, row) in sigma.iter_mut().enumerate() {
             for (j, value) in row.iter_mut().enumerate() {
-                for p in 0..2 {
-                    *value += model[i][p] * model[j][p].conj() * bin.input_noise[p];
+                for ((a, b), noise) in model[i].iter().zip(&model[j]).zip(&bin.input_noise) {
+                    *value += a * b.conj() * noise;
                 }
                 if i == j {
                     *value += bin.noise[i];

@@ -12,6 +12,8 @@ use realfft::num_complex::Complex;
 use std::f64::consts::{PI, TAU};
 
 type C64 = Complex<f64>;
+/// Both components by bin.
+type Bins = Vec<[C64; 2]>;
 
 /// Highest frequency used over the declared first resonance, at most.
 const SHARE_OF_RESONANCE: f64 = 0.55;
@@ -55,10 +57,10 @@ pub struct Error {
 /// One event on the bins below the limit.
 struct Shot {
     frequencies_hz: Vec<f64>,
-    input: Vec<[C64; 2]>,
-    outputs: Vec<Vec<[C64; 2]>>,
+    input: Bins,
+    outputs: Vec<Bins>,
     /// h₀ U of each output sensor.
-    passed: Vec<Vec<[C64; 2]>>,
+    passed: Vec<Bins>,
     /// a₀ of each output sensor.
     a0: Vec<f64>,
     components: usize,
@@ -152,7 +154,7 @@ impl Declared<'_> {
             return None;
         }
         let plan = RealFftPlanner::<f64>::new().plan_fft_forward(n);
-        let spectrum = |x: &[f64]| {
+        let spectrum = |x: &Vec<f64>| {
             let x = x.get(..n)?;
             let mean = x.iter().sum::<f64>() / n as f64;
             let mut tapered: Vec<f64> = x.iter().enumerate().map(|(i, v)| (v - mean) * taper(i, n)).collect();
@@ -160,25 +162,27 @@ impl Declared<'_> {
             plan.process(&mut tapered, &mut out).ok()?;
             Some(out[first..=last].to_vec())
         };
-        let both = |of: &dyn Fn(usize, &Event) -> Option<Vec<C64>>| -> Option<Vec<[C64; 2]>> {
-            let one = of(members[0].0, members[0].1)?;
-            let zero = || Some(vec![C64::default(); one.len()]);
-            let other = members.get(1).map_or_else(zero, |(i, e)| of(*i, e))?;
+        let both = |histories: &[Option<&Vec<f64>>]| -> Option<Bins> {
+            let one = spectrum((*histories.first()?)?)?;
+            let other = match histories.get(1) {
+                Some(history) => spectrum((*history)?)?,
+                None => vec![C64::default(); one.len()],
+            };
             Some(one.into_iter().zip(other).map(|(a, b)| [a, b]).collect())
         };
-        let every = |of: &dyn Fn(usize, usize, &Event) -> Option<Vec<C64>>| -> Option<Vec<Vec<[C64; 2]>>> {
-            (0..self.shapes.len()).map(|s| both(&|i, e| of(s, i, e))).collect()
+        let every = |events: &[Option<&Vec<Vec<f64>>>]| -> Option<Vec<Bins>> {
+            let of = |s: usize| both(&events.iter().map(|e| e.and_then(|e| e.get(s))).collect::<Vec<_>>());
+            (0..self.shapes.len()).map(of).collect()
         };
-        let input = both(&|_, e| spectrum(&e.input))?;
-        let outputs = every(&|s, _, e| spectrum(e.outputs.get(s)?))?;
+        let input = both(&members.iter().map(|(_, e)| Some(&e.input)).collect::<Vec<_>>())?;
+        let outputs = every(&members.iter().map(|(_, e)| Some(&e.outputs)).collect::<Vec<_>>())?;
         let frequencies_hz: Vec<f64> = (first..=last).map(|k| k as f64 * step_hz).collect();
         let weight: f64 = (0..n).map(|i| taper(i, n).powi(2)).sum();
         let density = |e: &Event| frequencies_hz.iter().map(|f| weight * e.noise[0].at(*f) / (2.0 * dt_s)).sum::<f64>();
         let power: f64 = input.iter().flatten().map(C64::norm_sqr).sum();
         let noise = members.iter().map(|(_, e)| density(e)).sum::<f64>() / power;
-        let replayed = |replays: &Motions| every(&|s, i, _| spectrum(replays.get(i)?.as_ref()?.get(s)?));
         let passed = match self.replays {
-            Some(replays) => replayed(replays)?,
+            Some(replays) => every(&members.iter().map(|(i, _)| replays.get(*i)?.as_ref()).collect::<Vec<_>>())?,
             None => self.uniform(&input, &frequencies_hz, 1.0 - noise),
         };
         let mut shot = Shot {
@@ -195,7 +199,7 @@ impl Declared<'_> {
     }
 
     /// A `share` of (2) under the `input`.
-    fn uniform(&self, input: &[[C64; 2]], frequencies_hz: &[f64], share: f64) -> Vec<Vec<[C64; 2]>> {
+    fn uniform(&self, input: &[[C64; 2]], frequencies_hz: &[f64], share: f64) -> Vec<Bins> {
         let of = |[a0, ratio]: &[f64; 2]| {
             let at = |(u, f): (&[C64; 2], &f64)| u.map(|u| u * (ln_h(a0 * f * f, *ratio, [0.0; 3]).exp() * share));
             input.iter().zip(frequencies_hz).map(at).collect()

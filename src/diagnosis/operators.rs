@@ -15,7 +15,13 @@ pub struct Operators<'e> {
     names: Vec<&'e str>,
     components: &'e [String],
     /// What undoes the input sensor at the frequencies asked for so far.
-    undone: Mutex<Vec<(Vec<f64>, Arc<Vec<Operator>>)>>,
+    undone: Mutex<Vec<Undone>>,
+}
+
+/// What undoes the input sensor at some frequencies, Hz.
+struct Undone {
+    frequencies_hz: Vec<f64>,
+    operators: Arc<Vec<Operator>>,
 }
 
 impl<'e> Operators<'e> {
@@ -46,12 +52,12 @@ impl<'e> Operators<'e> {
     /// What undoes the input sensor at these frequencies: once for all records that share them.
     pub fn input_undone(&self, frequencies_hz: &[f64]) -> Arc<Vec<Operator>> {
         let mut known = self.undone.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((_, undone)) = known.iter().find(|(f, _)| f == frequencies_hz) {
-            return undone.clone();
+        if let Some(undone) = known.iter().find(|k| k.frequencies_hz == frequencies_hz) {
+            return undone.operators.clone();
         }
-        let undone = Arc::new(frequencies_hz.iter().map(|f| self.at(0, *f).undone()).collect::<Vec<_>>());
-        known.push((frequencies_hz.to_vec(), undone.clone()));
-        undone
+        let operators = Arc::new(frequencies_hz.iter().map(|f| self.at(0, *f).undone()).collect::<Vec<_>>());
+        known.push(Undone { frequencies_hz: frequencies_hz.to_vec(), operators: operators.clone() });
+        operators
     }
 
     /// What output sensors make of the motion at these frequencies, `[bin][sensor]`.
