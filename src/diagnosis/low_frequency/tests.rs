@@ -1,6 +1,8 @@
 //! Sensors of a made-up array whose declared profile is far off.
 
+use super::super::Event;
 use super::super::made_up::{DEPTH_M, array, problem, transfer};
+use super::column::{first_order_s2, travel_s};
 use super::*;
 use crate::numerics::spectrum;
 
