@@ -152,7 +152,8 @@ fn diagnose_rest(
         Search::new(&scene, settings, Some(replay))?.drop_needless(&mut path, thresholds, progress)?;
         if path.accepted.len() == kept {
             let here = (path.corrected.clone(), path.anchor.clone());
-            (path.corrected, path.anchor) = scene.moved((here, path.rival.take()), replay, settings, progress)?;
+            let here = scene.moved((here, path.rival.take()), replay, settings, progress)?;
+            (path.corrected, path.anchor) = scene.beyond_tolerance(here, replay, settings, progress)?;
             let last = path.corrected.effects.last().zip(path.accepted.last_mut());
             last.into_iter().for_each(|(place, accepted)| accepted.instance = place.clone());
         }

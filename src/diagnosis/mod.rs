@@ -14,6 +14,7 @@
 //! what its tolerances have made up for.
 
 mod anchor;
+mod at_its_end;
 mod axes;
 mod bounded;
 mod centre;

@@ -59,7 +59,7 @@ impl Scene<'_> {
 }
 
 /// What another place must cost less than the `model`.
-fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
+pub(super) fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
     settings.ambiguity.max(WORTHWHILE * model.excess())
 }
 
