@@ -1,13 +1,12 @@
 //! A tolerance that went as far as it may, beside an effect that makes up for the rest: it may be the effect itself.
 
 use super::anchor::Anchor;
-use super::places::{is_plainer, worthwhile};
+use super::places::is_preferred;
 use super::problem::Replay;
 use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use crate::effects::Instance;
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -33,11 +32,10 @@ impl Scene<'_> {
             return Ok((model, anchor));
         };
         let mut there = self.clone();
-        let found = there.settled_around((&wanted.0, &wanted.1), (replay, MAX_ANCHORS), settings, progress)?;
-        let is_better = found.0.cost() < model.cost() - worthwhile(&model, settings);
-        let last = wanted.0.last().map_or("", |e| e.kind);
+        let found = there.settled_around((&wanted.effects, wanted.x()), (replay, MAX_ANCHORS), settings, progress)?;
+        let last = wanted.effects.last().map_or("", |e| e.kind);
         progress.note(&format!("{last} beyond its tolerance: cost {:.0}, {:.0} so far", found.0.cost(), model.cost()));
-        if is_better || is_plainer(&found.0, &model) {
+        if is_preferred(&found.0, &model, settings) {
             *self = there;
             return Ok(found);
         }
@@ -46,9 +44,9 @@ impl Scene<'_> {
 }
 
 impl Search<'_> {
-    /// Effects and unknowns of `model` with its last effect taken out and, as an effect, what a tolerance at its end stands for, where
-    /// that costs least from the `anchor`.
-    fn at_its_end(&self, model: &Model, anchor: &Anchor) -> Result<Option<(Vec<Instance>, Vec<f64>)>> {
+    /// `model` with its last effect taken out and, as an effect, what a tolerance at its end stands for, where that costs least from the
+    /// `anchor`.
+    fn at_its_end(&self, model: &Model, anchor: &Anchor) -> Result<Option<Model>> {
         let is_far = |n: usize| model.x()[n].abs() >= END;
         let kinds: Vec<&str> =
             (0..self.nuisances.len()).filter(|n| is_far(*n)).map(|n| self.nuisances[n].instance.kind).collect();
@@ -64,7 +62,7 @@ impl Search<'_> {
                 best = Some(found);
             }
         }
-        Ok(best.map(|b| (b.effects.clone(), b.x().to_vec())))
+        Ok(best)
     }
 }
 
@@ -73,6 +71,7 @@ mod tests {
     use super::super::made_up::{DT_S, Uniform, judged};
     use super::super::problem::NoiseSpectrum;
     use super::*;
+    use crate::effects::Instance;
     use crate::manifest::Tolerances;
     use crate::progress::Quiet;
 

@@ -5,10 +5,9 @@ use super::generic::Pair;
 use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
 use super::unknowns::Placed;
-use crate::effects::{Effect, Operator};
+use crate::effects::Effect;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
-use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -62,7 +61,7 @@ fn all_whitened(
 ) -> Vec<Vec<Vec<f64>>> {
     let amounts = &anchor.amounts(scene, effects, x);
     let ways: Vec<(&Placed, Vec<f64>)> = moved.iter().map(|m| (m, anchor.amounts(scene, effects, m))).collect();
-    let side = SensorSide::new(scene, effects, groups);
+    let side = SensorSide::new(scene, effects);
     let whiten = |g: &usize| {
         let mut out = vec![Vec::with_capacity(scene.groups[*g].n_residual()); 1 + moved.len()];
         each_bin(scene, &side, responses, (anchor, x, amounts), (*g, &ways), |bin| bin.whiten(&mut out));
@@ -84,7 +83,7 @@ pub fn pairs(
     let empty = Pair { frequencies_hz: group.frequencies_hz.clone(), predicted: Vec::new(), measured: Vec::new() };
     let mut rows = vec![empty; group.records.len() * n_sensor];
     let amounts = &anchor.amounts(scene, effects, x);
-    each_bin(scene, &SensorSide::new(scene, effects, &[g]), responses, (anchor, x, amounts), (g, &[]), |bin| {
+    each_bin(scene, &SensorSide::new(scene, effects), responses, (anchor, x, amounts), (g, &[]), |bin| {
         for (row, (predicted, measured)) in rows.iter_mut().zip(bin.predicted.iter().zip(&bin.measured)) {
             row.predicted.push(*predicted);
             row.measured.push(*measured);
@@ -93,43 +92,32 @@ pub fn pairs(
     rows.chunks_exact(n_sensor.max(1)).map(<[Pair]>::to_vec).collect()
 }
 
-/// What sensors make of motions under some effects, for some groups.
+/// What sensors make of motions under some effects.
 struct SensorSide<'e> {
     effects: &'e [Box<dyn Effect>],
     operators: Operators<'e>,
-    /// What output sensors make of motions, by group, `[bin][sensor]`; groups of the same frequencies share one.
-    outputs: Vec<Option<Arc<Vec<Operator>>>>,
     /// The channel of each sensor, the input sensor first.
     sources: Vec<usize>,
 }
 
 impl<'e> SensorSide<'e> {
-    fn new(scene: &'e Scene<'_>, effects: &'e [Box<dyn Effect>], groups: &[usize]) -> Self {
+    fn new(scene: &'e Scene<'_>, effects: &'e [Box<dyn Effect>]) -> Self {
         let operators = Operators::new(scene, effects);
-        let mut outputs: Vec<Option<Arc<Vec<Operator>>>> = vec![None; scene.groups.len()];
-        for &g in groups {
-            let frequencies_hz = &scene.groups[g].frequencies_hz;
-            let is_same = |i: &usize| outputs[*i].is_some() && scene.groups[*i].frequencies_hz == *frequencies_hz;
-            outputs[g] = match (0..g).find(is_same) {
-                Some(same) => outputs[same].clone(),
-                None => Some(Arc::new(operators.outputs(frequencies_hz))),
-            };
-        }
         let sources = (0..=scene.problem.array.outputs.len()).map(|s| scene.source(effects, s)).collect();
-        Self { effects, operators, outputs, sources }
+        Self { effects, operators, sources }
     }
 }
 
 /// Sets up every frequency of group `g` in turn, with what is predicted more on each of the `ways` to other places of the soil.
 fn each_bin(
     scene: &Scene<'_>,
-    SensorSide { effects, operators: all, outputs, sources }: &SensorSide<'_>,
+    SensorSide { effects, operators: all, sources }: &SensorSide<'_>,
     responses: &Responses,
     (anchor, x, amounts): (&Anchor, &Placed, &[f64]),
     (g, ways): (usize, &[(&Placed, Vec<f64>)]),
     mut visit: impl FnMut(&mut Bin),
 ) {
-    let (group, Some(outputs)) = (&scene.groups[g], &outputs[g]) else { return };
+    let group = &scene.groups[g];
     let n_sensor = scene.problem.array.outputs.len();
     let n_record = group.records.len();
     let removed = scene.estimated_interference(effects, g);
@@ -155,7 +143,7 @@ fn each_bin(
     };
     let ways: Vec<Vec<Vec<C64>>> = ways.iter().map(|way| (0..n_record).map(|r| on_the_way(way, r)).collect()).collect();
     let components: Vec<usize> = group.records.iter().map(|r| scene.problem.events[r.event].component()).collect();
-    let undone = all.input_undone(&group.frequencies_hz);
+    let (undone, outputs) = (all.input_undone(&group.frequencies_hz), all.outputs(&group.frequencies_hz));
     let bins = group.frequencies_hz.iter().zip(undone.iter().zip(outputs.chunks_exact(n_sensor.max(1))));
     for (k, (f, (undone, outputs))) in bins.enumerate() {
         for (s, operator) in outputs.iter().enumerate() {

@@ -1,6 +1,6 @@
 //! A made-up array for tests: a uniform column under the errors of its sensors.
 
-use super::problem::{Event, NoiseSpectrum, Problem, Replay};
+use super::problem::{Event, Motions, NoiseSpectrum, Problem, Replay};
 use crate::column::{Layer, Profile};
 use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
 use crate::error::Result;
@@ -37,6 +37,12 @@ pub fn transfer(vs_m_s: f64, damping_ratio: f64, depth_m: f64, frequency_hz: f64
     (k * depth_m).cos() / (k * DEPTH_M).cos()
 }
 
+/// Motion at `depth_m` of a uniform column, shaken with `base`.
+pub fn moved(base: &[f64], [vs_m_s, damping_ratio]: [f64; 2], depth_m: f64) -> Vec<f64> {
+    let [motion] = spectrum::respond([base], DT_S, |f, [u]| [u * transfer(vs_m_s, damping_ratio, depth_m, f)]);
+    motion
+}
+
 /// Six events of a uniform column of 150 m/s, declared as one of 200 m/s, seen through `effects`.
 pub fn problem(table: &str) -> Problem {
     let tables: Vec<toml::Table> = if table.is_empty() { Vec::new() } else { vec![toml::from_str(table).unwrap()] };
@@ -51,8 +57,7 @@ pub fn problem(table: &str) -> Problem {
             let envelope = |i: usize| (-((i as f64 - 700.0) / 250.0).powi(2)).exp();
             let white: Vec<f64> = (0..STEPS).map(|i| envelope(i) * sample(&mut stream)).collect();
             for (s, z) in [DEPTH_M, 20.0, 0.0].into_iter().enumerate() {
-                let [motion] = spectrum::respond([white.as_slice()], DT_S, |f, [u]| [u * transfer(150.0, 0.03, z, f)]);
-                motions[s].push(motion);
+                motions[s].push(moved(&white, [150.0, 0.03], z));
             }
         }
         let names: Vec<String> = array.sensors().map(String::from).collect();
@@ -92,7 +97,7 @@ pub fn judged(table: &str) -> Problem {
 pub struct Uniform<'a>(pub &'a Problem);
 
 impl Replay for Uniform<'_> {
-    fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay(&self, effects: &[toml::Table]) -> Result<Motions> {
         let sum = |kind: &str, key: &str| -> f64 {
             let of = |t: &&toml::Table| t["kind"].as_str() == Some(kind);
             effects.iter().filter(of).filter_map(|t| t.get(key)?.as_float()).sum()
@@ -102,12 +107,7 @@ impl Replay for Uniform<'_> {
         let added = 100.0 * of_effect("beta_s") + 0.02 * of_effect("alpha_1_s");
         let damping_ratio = 0.02 * sum("small_strain_damping", "multiplier").max(0.1) + added;
         let passed = |event: &Event| {
-            let at = |z: &f64| {
-                let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
-                    [u * transfer(vs_m_s, damping_ratio, *z, f)]
-                });
-                motion
-            };
+            let at = |z: &f64| moved(&event.input, [vs_m_s, damping_ratio], *z);
             Some(self.0.array.depths_m.iter().map(at).collect())
         };
         Ok(self.0.events.iter().map(passed).collect())

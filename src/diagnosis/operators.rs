@@ -14,14 +14,32 @@ pub struct Operators<'e> {
     arriving: Vec<&'e dyn Effect>,
     names: Vec<&'e str>,
     components: &'e [String],
-    /// What undoes the input sensor at the frequencies asked for so far.
-    undone: Mutex<Vec<Undone>>,
+    /// What undoes the input sensor.
+    undone: Tables,
+    /// What output sensors make of the motion, `[bin][sensor]`.
+    outputs: Tables,
 }
 
-/// What undoes the input sensor at some frequencies, Hz.
-struct Undone {
+/// Operators at the frequencies asked for so far.
+#[derive(Default)]
+struct Tables(Mutex<Vec<Table>>);
+
+struct Table {
     frequencies_hz: Vec<f64>,
     operators: Arc<Vec<Operator>>,
+}
+
+impl Tables {
+    /// The table at these frequencies, made by `of` where it is not known yet.
+    fn at(&self, frequencies_hz: &[f64], of: impl FnOnce() -> Vec<Operator>) -> Arc<Vec<Operator>> {
+        let mut known = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(table) = known.iter().find(|k| k.frequencies_hz == frequencies_hz) {
+            return table.operators.clone();
+        }
+        let operators = Arc::new(of());
+        known.push(Table { frequencies_hz: frequencies_hz.to_vec(), operators: operators.clone() });
+        operators
+    }
 }
 
 impl<'e> Operators<'e> {
@@ -38,7 +56,8 @@ impl<'e> Operators<'e> {
             arriving: effects.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect(),
             names,
             components,
-            undone: Mutex::default(),
+            undone: Tables::default(),
+            outputs: Tables::default(),
         }
     }
 
@@ -51,18 +70,13 @@ impl<'e> Operators<'e> {
 
     /// What undoes the input sensor at these frequencies: once for all records that share them.
     pub fn input_undone(&self, frequencies_hz: &[f64]) -> Arc<Vec<Operator>> {
-        let mut known = self.undone.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(undone) = known.iter().find(|k| k.frequencies_hz == frequencies_hz) {
-            return undone.operators.clone();
-        }
-        let operators = Arc::new(frequencies_hz.iter().map(|f| self.at(0, *f).undone()).collect::<Vec<_>>());
-        known.push(Undone { frequencies_hz: frequencies_hz.to_vec(), operators: operators.clone() });
-        operators
+        self.undone.at(frequencies_hz, || frequencies_hz.iter().map(|f| self.at(0, *f).undone()).collect())
     }
 
-    /// What output sensors make of the motion at these frequencies, `[bin][sensor]`.
-    pub fn outputs(&self, frequencies_hz: &[f64]) -> Vec<Operator> {
-        frequencies_hz.iter().flat_map(|f| (1..self.names.len()).map(|sensor| self.at(sensor, *f))).collect()
+    /// What output sensors make of the motion at these frequencies, `[bin][sensor]`: once for all events that share them.
+    pub fn outputs(&self, frequencies_hz: &[f64]) -> Arc<Vec<Operator>> {
+        let at = |f: &f64| (1..self.names.len()).map(|sensor| self.at(sensor, *f)).collect::<Vec<_>>();
+        self.outputs.at(frequencies_hz, || frequencies_hz.iter().flat_map(at).collect())
     }
 
     /// Further arrivals at `depth_m`, as a factor on the true base motion.

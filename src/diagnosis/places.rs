@@ -48,7 +48,7 @@ impl Scene<'_> {
             let Some((effects, x)) = elsewhere else { break };
             let mut there = self.clone();
             let found = there.settled_around((&effects, &x), (replay, MAX_ANCHORS), settings, progress)?;
-            if found.0.cost() < model.cost() - worthwhile(&model, settings) || is_plainer(&found.0, &model) {
+            if is_preferred(&found.0, &model, settings) {
                 ((model, anchor), *self) = (found, there);
             } else if !is_rival {
                 break;
@@ -59,8 +59,13 @@ impl Scene<'_> {
 }
 
 /// What another place must cost less than the `model`.
-pub(super) fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
+fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
     settings.ambiguity.max(WORTHWHILE * model.excess())
+}
+
+/// Whether `one` leaves clearly less than `other`, or is plainer.
+pub(super) fn is_preferred(one: &Model, other: &Model, settings: &DiagnoseSettings) -> bool {
+    one.cost() < other.cost() - worthwhile(other, settings) || is_plainer(one, other)
 }
 
 /// Whether neither leaves more than noise, and the nuisances of `one` are clearly closer to what is declared. Costs of such models

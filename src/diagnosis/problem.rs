@@ -83,14 +83,14 @@ pub trait Replay: Sync {
     ///
     /// # Errors
     /// When the column cannot be built or no event finishes.
-    fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>>;
+    fn replay(&self, effects: &[toml::Table]) -> Result<Motions>;
 
     /// The same in fewer elements and longer steps where there are such: what differs between two of these is what would
     /// differ between two of [`Replay::replay`], and costs less.
     ///
     /// # Errors
     /// As [`Replay::replay`].
-    fn replay_roughly(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_roughly(&self, effects: &[toml::Table]) -> Result<Motions> {
         self.replay(effects)
     }
 
@@ -99,7 +99,7 @@ pub trait Replay: Sync {
     ///
     /// # Errors
     /// As [`Replay::replay`].
-    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Motions> {
         self.replay_roughly(effects)
     }
 }
@@ -108,11 +108,11 @@ pub trait Replay: Sync {
 pub(super) struct Roughly<'a>(pub &'a dyn Replay);
 
 impl Replay for Roughly<'_> {
-    fn replay(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay(&self, effects: &[toml::Table]) -> Result<Motions> {
         self.0.replay_roughly(effects)
     }
 
-    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Motions> {
         self.0.replay_noisier(effects)
     }
 }

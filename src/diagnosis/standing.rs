@@ -178,15 +178,15 @@ impl Beside<'_> {
 }
 
 impl Replay for Beside<'_> {
-    fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay(&self, effects: &[Table]) -> Result<Motions> {
         self.replay.replay(&self.and(effects))
     }
 
-    fn replay_roughly(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_roughly(&self, effects: &[Table]) -> Result<Motions> {
         self.replay.replay_roughly(&self.and(effects))
     }
 
-    fn replay_noisier(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_noisier(&self, effects: &[Table]) -> Result<Motions> {
         self.replay.replay_noisier(&self.and(effects))
     }
 }

@@ -5,7 +5,7 @@ use super::instrument::{Instrument, by_event};
 use super::records;
 use super::replay::{base_motions, replayed};
 use super::shake::{Response, shake};
-use crate::diagnosis::{self, DiagnoseSettings, Event, NoiseSpectrum, Problem, Replay};
+use crate::diagnosis::{self, DiagnoseSettings, Event, Motions, NoiseSpectrum, Problem, Replay};
 use crate::effects::Situation;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
@@ -204,15 +204,15 @@ fn problem(
 }
 
 impl Replay for Bench<'_> {
-    fn replay(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay(&self, effects: &[Table]) -> Result<Motions> {
         self.replay_of(&self.sections, &self.events, effects)
     }
 
-    fn replay_roughly(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_roughly(&self, effects: &[Table]) -> Result<Motions> {
         self.replay_of(&self.rough, &self.events, effects)
     }
 
-    fn replay_noisier(&self, effects: &[Table]) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_noisier(&self, effects: &[Table]) -> Result<Motions> {
         let recorded = &mut self.problem.events.iter();
         let noisier = self.events.iter().map(|records| {
             let of = |(record, known): (&Record, &Event)| {
@@ -229,12 +229,7 @@ impl Replay for Bench<'_> {
 }
 
 impl Bench<'_> {
-    fn replay_of(
-        &self,
-        sections: &ColumnSections,
-        events: &[Vec<Record>],
-        effects: &[Table],
-    ) -> Result<Vec<Option<Vec<Vec<f64>>>>> {
+    fn replay_of(&self, sections: &ColumnSections, events: &[Vec<Record>], effects: &[Table]) -> Result<Motions> {
         let tables: Vec<Table> = sections.effects.iter().chain(effects).cloned().collect();
         let instrument = Instrument::new(&sections.sensors, sections.site.depth_m, &tables)?;
         let undone: Vec<Vec<Record>> = events.iter().map(|records| instrument.undone(records)).collect();

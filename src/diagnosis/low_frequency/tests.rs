@@ -1,10 +1,8 @@
 //! Sensors of a made-up array whose declared profile is far off.
 
-use super::super::Event;
-use super::super::made_up::{DEPTH_M, array, problem, transfer};
+use super::super::made_up::{DEPTH_M, array, moved, problem};
 use super::column::{first_order_s2, travel_s};
 use super::*;
-use crate::numerics::spectrum;
 
 #[test]
 fn errors_of_a_sensor_are_found_under_a_profile_that_is_far_off() {
@@ -65,20 +63,12 @@ fn soil_that_gets_soft_is_no_late_clock() {
     let settings = super::super::DiagnoseSettings::default();
     let mut problem = problem("");
     // Soil far softer than declared at rest, the more so the stronger an event; the replayed column knows by how much, to a few percent.
-    let moved = |event: &Event, vs_m_s: f64, damping_ratio: f64| -> Vec<Vec<f64>> {
-        let at = |z: f64| {
-            let [motion] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| {
-                [u * transfer(vs_m_s, damping_ratio, z, f)]
-            });
-            motion
-        };
-        [20.0, 0.0].map(at).to_vec()
-    };
+    let both = |base: &[f64], soil: [f64; 2]| [20.0, 0.0].map(|z| moved(base, soil, z)).to_vec();
     let mut replays = Vec::new();
     for (i, event) in problem.events.iter_mut().enumerate() {
         let (vs_m_s, damping_ratio) = (130.0 - 6.0 * i as f64, 0.15 + 0.02 * i as f64);
-        event.outputs = moved(event, vs_m_s, damping_ratio);
-        replays.push(Some(moved(event, 1.04 * vs_m_s, 0.9 * damping_ratio)));
+        event.outputs = both(&event.input, [vs_m_s, damping_ratio]);
+        replays.push(Some(both(&event.input, [1.04 * vs_m_s, 0.9 * damping_ratio])));
     }
     let found = |replays| super::super::standing(&problem, replays, &settings);
     assert!(found(Some(&replays)).is_empty(), "{:?}", found(Some(&replays)));
