@@ -8,7 +8,7 @@ use super::shake::{Response, shake};
 use crate::diagnosis::{self, DiagnoseSettings, Event, Motions, NoiseSpectrum, Problem, Replay};
 use crate::effects::Situation;
 use crate::error::{Error, Result};
-use crate::manifest::{ColumnSections, Tolerances};
+use crate::manifest::{ColumnSections, LayerSection, Tolerances};
 use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::Task;
 use crate::records::{Record, RecordSettings, Split};
@@ -18,8 +18,10 @@ use toml::Table;
 const LONGEST_S: f64 = 45.0;
 /// That lead, s.
 const LEAD_S: f64 = 3.0;
-/// Elements to the shortest wave where replays are compared with each other only.
-const PER_WAVE: f64 = 20.0;
+/// Elements to the shortest wave where replays are compared with records: waves are then slower by 0.06 % at the most.
+const PER_WAVE: f64 = 54.0;
+/// The same where replays are compared with each other only.
+const ROUGHLY_PER_WAVE: f64 = 20.0;
 
 /// Sections that [`Bench::of`] needs of the stage that asks.
 pub const READS: &[&str] = &[
@@ -123,42 +125,61 @@ fn strongest(records: Vec<Record>) -> Vec<Record> {
     records.iter().map(|r| r.window(start_s, LONGEST_S)).collect()
 }
 
-/// `sections` with the steps of the diagnosis' replays.
-fn refined(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+/// `sections` with the steps of the diagnosis' replays, and no more elements than these need: what either leaves wrong would be looked
+/// for in the soil.
+///
+/// ```text
+/// δc/c = −(2π/n)²/24                                          (1)
+/// ```
+///
+/// n elements to a wave and masses lumped at the nodes.
+///
+/// Source: (1) Bathe (2014), Finite Element Procedures, 2nd ed., section 9.4.4.
+fn refined(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+    let mut sections = meshed(sections, PER_WAVE, settings.band_hz[1]);
     let analysis = &mut sections.analysis;
     analysis.max_step_s = analysis.max_step_s.min(settings.max_step_s);
     analysis.initial_step_s = analysis.initial_step_s.min(analysis.max_step_s);
     sections
 }
 
-/// `sections` with no more elements than waves of the diagnosis' band need, and the steps of the manifest. Elements are of one height
-/// but where those of each layer's own waves are half as many.
-fn roughened(mut sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
-    let high_hz = settings.band_hz[1];
-    let even = evenly(&sections, high_hz);
-    let by_layer: Vec<usize> = sections.site.layer.iter().map(|l| per_wave(l.thickness_m, l.vs_m_s, high_hz)).collect();
+/// `sections` with the elements of [`Replay::replay_roughly`] and the steps of the manifest.
+fn roughened(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
+    meshed(sections, ROUGHLY_PER_WAVE, settings.band_hz[1])
+}
+
+/// `sections` in `per_wave` elements to the shortest wave below `high_hz`, or as they are where they have fewer: what is found is to
+/// hold for the column that is declared. Elements are of one height but where those of each layer's own waves are half as many.
+fn meshed(mut sections: ColumnSections, per_wave: f64, high_hz: f64) -> ColumnSections {
+    let even = evenly(&sections, per_wave, high_hz);
+    let of = |l: &LayerSection| needed(l.thickness_m, per_wave, high_hz, l.vs_m_s);
+    let by_layer: Vec<usize> = sections.site.layer.iter().map(of).collect();
     let graded: usize = by_layer.iter().sum();
+    let is_graded = 2 * graded < even;
+    let count = if is_graded { graded } else { even };
     let site = &mut sections.site;
-    if 2 * graded < even.min(site.elements) {
-        site.elements = graded;
-        site.layer.iter_mut().zip(by_layer).for_each(|(l, count)| l.fineness = count as f64 / l.thickness_m);
-    } else {
-        site.elements = site.elements.min(even);
+    if count >= site.elements {
+        return sections;
+    }
+    site.elements = count;
+    for (layer, count) in site.layer.iter_mut().zip(by_layer) {
+        let finer = count as f64 / graded as f64 * site.depth_m / layer.thickness_m;
+        layer.fineness = if is_graded { finer } else { 1.0 };
     }
     sections
 }
 
 /// Elements that waves need in a layer, at least two.
-fn per_wave(thickness_m: f64, vs_m_s: f64, high_hz: f64) -> usize {
-    ((thickness_m * PER_WAVE * high_hz / vs_m_s).ceil() as usize).max(2)
+fn needed(thickness_m: f64, per_wave: f64, high_hz: f64, vs_m_s: f64) -> usize {
+    ((thickness_m * per_wave * high_hz / vs_m_s).ceil() as usize).max(2)
 }
 
 /// Elements of one height that waves need in the slowest layer, or half as many again where they then end at every layer and sensor.
 /// Where they do not, an effect that cuts a layer also moves the others' elements, and its derivative is that of the mesh too.
-fn evenly(sections: &ColumnSections, high_hz: f64) -> usize {
+fn evenly(sections: &ColumnSections, per_wave: f64, high_hz: f64) -> usize {
     let site = &sections.site;
     let slowest_m_s = site.layer.iter().map(|l| l.vs_m_s).fold(f64::INFINITY, f64::min);
-    let needed = per_wave(site.depth_m, slowest_m_s, high_hz).max(2 * site.layer.len());
+    let least = needed(site.depth_m, per_wave, high_hz, slowest_m_s).max(2 * site.layer.len());
     let mut depths_m: Vec<f64> = sections.sensors.output.iter().map(|s| s.depth_m).collect();
     depths_m.extend(site.layer.iter().scan(0.0, |depth_m, l| {
         *depth_m += l.thickness_m;
@@ -169,7 +190,7 @@ fn evenly(sections: &ColumnSections, high_hz: f64) -> usize {
         (above - above.round()).abs() < 1e-6
     };
     let ends_at_all = |n: &usize| depths_m.iter().all(|depth_m| ends_at(depth_m, *n));
-    (needed..=needed + needed / 2).find(ends_at_all).unwrap_or(needed)
+    (least..=least + least / 2).find(ends_at_all).unwrap_or(least)
 }
 
 fn problem(
@@ -259,23 +280,23 @@ mod tests {
     use std::path::Path;
 
     #[test]
-    fn rough_replays_have_elements_for_the_waves_that_are_compared() {
+    fn replays_have_elements_for_the_waves_that_are_compared() {
         let of = |name: &str| {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(name);
             let site = Manifest::load(&path, &[]).expect("a sound site").site;
             let sections = site.column();
             let settings = DiagnoseSettings::default();
-            let fine = refined(sections.clone(), &settings).analysis.max_step_s;
+            let fine = refined(sections.clone(), &settings);
             let rough = roughened(sections.clone(), &settings);
             assert_eq!(rough.analysis, sections.analysis);
-            assert!(fine <= rough.analysis.max_step_s);
-            [sections.site.elements, rough.site.elements]
+            assert!(fine.analysis.max_step_s <= rough.analysis.max_step_s);
+            [fine.site.elements, rough.site.elements]
         };
         // 17 m and 20 elements to 110 m/s over 9.5 Hz are 30, but two to each of 17 layers.
-        assert_eq!(of("lotung.toml"), [200, 34]);
+        assert_eq!(of("lotung.toml"), [85, 34]);
         // 10 m to 130 m/s are 15, but a sensor is at 5 m and a layer ends at 4 m.
         assert_eq!(of("smoke.toml"), [20, 20]);
-        // Thick rock below soil: 2 + 26 + 4 + 12 + 8.
+        // Thick rock below soil: 2 + 26 + 4 + 12 + 8, and 120 are declared.
         assert_eq!(of("fksh11.toml"), [120, 52]);
     }
 }
