@@ -50,7 +50,7 @@ fn problem(truth: Option<&str>) -> Option<Problem> {
 }
 
 fn standing(problem: &Problem) -> Vec<Standing> {
-    diagnosis::standing(problem, None, &DiagnoseSettings::default())
+    diagnosis::standing(problem, None, &DiagnoseSettings::default()).unwrap()
 }
 
 /// `problem` without each of its events in turn.

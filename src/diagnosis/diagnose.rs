@@ -44,7 +44,7 @@ pub fn diagnose(
     thresholds: &Thresholds,
     progress: &dyn Progress,
 ) -> Result<Diagnosis> {
-    let standing = standing(problem, Some(&replay.replay(&[])?), settings);
+    let standing = standing(problem, Some(&replay.replay(&[])?), settings)?;
     let standing = decided(standing, problem, replay, settings)?;
     let answer = |standing: Vec<Standing>| -> Result<Diagnosis> {
         if standing.is_empty() {

@@ -4,6 +4,8 @@
 mod column;
 mod shots;
 
+pub use column::travel_s;
+
 use super::problem::{Motions, Problem};
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
@@ -297,7 +299,7 @@ impl Comparison<'_> {
 const DIFFERENCE: f64 = 1e-6;
 
 /// Standard deviation from estimates that each lack one event.
-fn jackknife(values: &[f64]) -> f64 {
+pub fn jackknife(values: &[f64]) -> f64 {
     let n = values.len() as f64;
     let mean = values.iter().sum::<f64>() / n;
     ((n - 1.0) / n * values.iter().map(|v| (v - mean).powi(2)).sum::<f64>()).sqrt()

@@ -61,6 +61,7 @@ mod simulated;
 mod spectra;
 mod standing;
 mod surroundings;
+mod tilt;
 mod together;
 mod tuning;
 mod unknowns;

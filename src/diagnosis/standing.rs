@@ -7,6 +7,7 @@ use super::problem::{Motions, Problem, Replay};
 use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
+use super::tilt::{self, tilts, without};
 use super::unknowns::{nuisance_tables, nuisances};
 use crate::effects::{self, Array, Class};
 use crate::error::Result;
@@ -17,8 +18,10 @@ use toml::{Table, Value};
 /// Distance from what is declared that is beyond doubt, in standard deviations.
 const BEYOND: f64 = 4.0;
 /// What the field is from one-dimensional at low frequencies, by [`KINDS`]: 3 %, 3 ms, a corner of 0.01 Hz that any instrument may
-/// have, 1°.
-const FIELD: [f64; 4] = [0.03, 0.003, 0.01, 0.017];
+/// have, 1°; a tilt of 0.01° that it may have.
+const FIELD: [f64; 5] = [0.03, 0.003, 0.01, 0.017, tilt::FIELD_DEG];
+/// Place of tilts in [`KINDS`].
+const TILT: usize = 4;
 /// Normal quantile of a two-sided 95 % interval.
 const TWO_SIDED: f64 = 1.96;
 
@@ -107,8 +110,10 @@ pub(super) fn others(standing: &[Standing], array: &Array) -> Vec<Vec<Standing>>
             all.push(instead);
         }
     }
-    if !standing.is_empty() {
-        all.push(Vec::new());
+    // No soil tilts a sensor.
+    let tilts: Vec<Standing> = standing.iter().filter(|s| s.found.kind == tilt::KIND).cloned().collect();
+    if tilts.len() < standing.len() {
+        all.push(tilts);
     }
     all
 }
@@ -191,12 +196,13 @@ impl Replay for Beside<'_> {
     }
 }
 
-/// Kinds of [`Passed::errors`], with the parameter and its unit.
-pub(super) const KINDS: [[&str; 3]; 4] = [
+/// Kinds of [`Passed::errors`] and of tilts, with the parameter and its unit.
+pub(super) const KINDS: [[&str; 3]; 5] = [
     ["sensor_gain", "ln_gain", ""],
     ["clock_offset", "offset_s", "s"],
     ["instrument_high_pass", "corner_hz", "Hz"],
     ["sensor_orientation", "azimuth_deg", "°"],
+    [tilt::KIND, "tilt_deg", "°"],
 ];
 
 /// Errors of sensors in `problem` that stand out of the declared tolerances, whether the declared column was replayed or not.
@@ -206,43 +212,67 @@ pub(super) const KINDS: [[&str; 3]; 4] = [
 ///
 /// Limits: waves that come aslant or run along the surface are in `FIELD` only; at a low-pass or a base that lets waves out, motions are late at low frequencies as if a clock were wrong.
 /// Check:  `what_all_outputs_share_is_the_input_sensors`.
-pub fn standing(problem: &Problem, replays: Option<&Motions>, settings: &DiagnoseSettings) -> Vec<Standing> {
-    let passed = passed(problem, replays, settings.band_hz[0]);
+///
+/// # Errors
+/// When an effect that stands is not registered.
+pub fn standing(problem: &Problem, replays: Option<&Motions>, settings: &DiagnoseSettings) -> Result<Vec<Standing>> {
     let array = &problem.array;
-    let n = passed.len();
-    if n == 0 {
-        return Vec::new();
-    }
-    let mut of_input = Vec::new();
-    let mut of_outputs = vec![Vec::new(); n];
-    reflections(problem, &passed, &mut of_input, &mut of_outputs);
+    let cleaned = without(problem, &problem.declared)?;
+    let own = tilts(&cleaned)?;
+    let own: Vec<(usize, Error)> = own.into_iter().enumerate().collect();
+    let mut found = Attributed::default();
+    found.add(TILT, &own, 0.0, array);
+    let known = found.all().map(|s| s.found.table.clone()).chain(problem.declared.iter().cloned());
+    let level = without(problem, &known.collect::<Vec<_>>())?;
+    let passed = passed(&level, replays, settings.band_hz[0]);
+    reflections(problem, &passed, &mut found);
     let t = &problem.tolerances;
-    let tolerances = [t.gain_ln, t.clock_s, 0.0, t.orientation_deg.to_radians()];
-    for (kind, tolerance) in tolerances.into_iter().enumerate() {
+    for (kind, tolerance) in [t.gain_ln, t.clock_s, 0.0, t.orientation_deg.to_radians()].into_iter().enumerate() {
+        let own: Vec<(usize, Error)> = passed.iter().map(|p| (p.output, p.errors[kind].unwrap_or(NOTHING))).collect();
+        found.add(kind, &own, tolerance, array);
+    }
+    // The records went through reflections before turns; to undo them at the input sensor they come the other way round.
+    found.of_input.reverse();
+    found.of_outputs.sort_by_key(|(output, _)| *output);
+    Ok(found.of_input.into_iter().chain(found.of_outputs.into_iter().map(|(_, s)| s)).collect())
+}
+
+/// What stands, put down to the input sensor or to output sensors by their index.
+#[derive(Default)]
+struct Attributed {
+    of_input: Vec<Standing>,
+    of_outputs: Vec<(usize, Standing)>,
+}
+
+impl Attributed {
+    fn all(&self) -> impl Iterator<Item = &Standing> {
+        self.of_input.iter().chain(self.of_outputs.iter().map(|(_, s)| s))
+    }
+
+    /// Errors of `KINDS[kind]` of the output sensors against the input sensor that are beyond the `tolerance`.
+    fn add(&mut self, kind: usize, own: &[(usize, Error)], tolerance: f64, array: &Array) {
         let tolerance = tolerance.hypot(FIELD[kind]);
-        let own: Vec<Error> = passed.iter().map(|p| p.errors[kind].unwrap_or(NOTHING)).collect();
-        let common = shared(&own, tolerance);
+        let common = shared(&own.iter().map(|(_, e)| *e).collect::<Vec<_>>(), tolerance);
         if let Some(common) = common {
-            of_input.push(effect(kind, &array.input, Error { value: -common.value, ..common }, common.value > 0.0));
+            let error = Error { value: -common.value, ..common };
+            self.of_input.push(effect(kind, &array.input, error, common.value > 0.0));
         }
         let common = common.map_or(0.0, |c| c.value);
-        for (j, own) in own.iter().enumerate() {
+        let is_alone = own.len() == 1;
+        for (output, own) in own {
             let rest = Error { value: own.value - common, ..*own };
-            let sensor = &array.outputs[passed[j].output];
             if !is_beyond(rest, tolerance) {
                 continue;
             }
             // A corner cannot be negative: it is the other sensor's.
             if kind != 2 || rest.value > 0.0 {
-                of_outputs[j].push(effect(kind, sensor, rest, n == 1 && rest.value > 0.0));
-            } else if n == 1 {
-                of_input.push(effect(kind, &array.input, Error { value: -rest.value, ..rest }, false));
+                let late = is_alone && rest.value > 0.0;
+                self.of_outputs.push((*output, effect(kind, &array.outputs[*output], rest, late)));
+            } else if is_alone {
+                self.of_input.push(effect(kind, &array.input, Error { value: -rest.value, ..rest }, false));
             }
         }
     }
-    // The records went through reflections before turns; to undo them at the input sensor they come the other way round.
-    of_input.reverse();
-    of_input.into_iter().chain(of_outputs.into_iter().flatten()).collect()
 }
 
 const NOTHING: Error = Error { value: 0.0, deviation: 0.0 };
@@ -267,16 +297,17 @@ fn shared(own: &[Error], tolerance: f64) -> Option<Error> {
     (2 * alike.len() > own.len() && is_beyond(common, tolerance)).then_some(common)
 }
 
-fn reflections(problem: &Problem, passed: &[Passed], of_input: &mut Vec<Standing>, of_outputs: &mut [Vec<Standing>]) {
+fn reflections(problem: &Problem, passed: &[Passed], found: &mut Attributed) {
     let array = &problem.array;
     let is_none = |p: &Passed| p.reflection == [[1.0, 0.0], [0.0, 1.0]];
     let all = passed.len() > 1 && passed.iter().all(|p| p.reflection == passed[0].reflection);
     if all && !is_none(&passed[0]) {
-        of_input.extend(reflection(&array.components, &array.input, passed[0].reflection));
+        found.of_input.extend(reflection(&array.components, &array.input, passed[0].reflection));
         return;
     }
-    for (p, found) in passed.iter().zip(of_outputs).filter(|(p, _)| !is_none(p)) {
-        found.extend(reflection(&array.components, &array.outputs[p.output], p.reflection));
+    for p in passed.iter().filter(|p| !is_none(p)) {
+        let own = reflection(&array.components, &array.outputs[p.output], p.reflection);
+        found.of_outputs.extend(own.into_iter().map(|s| (p.output, s)));
     }
 }
 

@@ -4,6 +4,7 @@ use super::outcome::{Candidate, Diagnosis, Excess, Found, Verdict};
 use super::problem::{Problem, Replay};
 use super::settings::DiagnoseSettings;
 use super::standing::{KINDS, Standing, settled};
+use super::tilt;
 use super::unknowns::TOLERATED;
 use super::verdict::excess;
 use crate::error::Result;
@@ -81,6 +82,7 @@ fn merge(standing: &mut Vec<Standing>, rest: &mut Vec<Found>, tolerances: &Toler
         let tolerance = match *kind {
             "sensor_gain" => tolerances.gain_ln,
             "clock_offset" => tolerances.clock_s,
+            tilt::KIND => tilt::FIELD_DEG,
             _ => tolerances.orientation_deg,
         };
         own.value.abs() > TOLERATED * tolerance

@@ -17,7 +17,7 @@ fn errors_of_a_sensor_are_found_under_a_profile_that_is_far_off() {
     for sensor in ["top", "base"] {
         for (kind, parameter, value, close) in cases {
             let text = format!("kind = '{kind}'\nsensor = '{sensor}'\n{parameter} = {value:?}");
-            let found = super::super::standing(&problem(&text), None, &settings);
+            let found = super::super::standing(&problem(&text), None, &settings).unwrap();
             // A high-pass of the input sensor is no high-pass of the others, and nothing is said of it.
             if kind == "instrument_high_pass" && sensor == "base" {
                 continue;
@@ -30,12 +30,12 @@ fn errors_of_a_sensor_are_found_under_a_profile_that_is_far_off() {
         }
         for text in ["kind = 'sensor_polarity'\ncomponent = 'NS'", "kind = 'swapped_channels'"] {
             let text = format!("{text}\nsensor = '{sensor}'");
-            let found = super::super::standing(&problem(&text), None, &settings);
+            let found = super::super::standing(&problem(&text), None, &settings).unwrap();
             let tables: Vec<toml::Table> = found.into_iter().map(|s| s.found.table).collect();
             assert_eq!(tables, [toml::from_str::<toml::Table>(&text).unwrap()]);
         }
     }
-    assert!(super::super::standing(&problem(""), None, &settings).is_empty());
+    assert!(super::super::standing(&problem(""), None, &settings).unwrap().is_empty());
 }
 
 #[test]
@@ -70,7 +70,7 @@ fn soil_that_gets_soft_is_no_late_clock() {
         event.outputs = both(&event.input, [vs_m_s, damping_ratio]);
         replays.push(Some(both(&event.input, [1.04 * vs_m_s, 0.9 * damping_ratio])));
     }
-    let found = |replays| super::super::standing(&problem, replays, &settings);
+    let found = |replays| super::super::standing(&problem, replays, &settings).unwrap();
     assert!(found(Some(&replays)).is_empty(), "{:?}", found(Some(&replays)));
     assert!(found(None).iter().any(|s| s.found.kind == "clock_offset"), "{:?}", found(None));
 }
