@@ -349,7 +349,8 @@ mod tests {
             let expected = difference(&fitter.at(&unknowns, &there, None).unwrap(), &point, 1e-3);
             let size = expected.iter().map(|v| v * v).sum::<f64>().sqrt();
             let miss = jacobian.col(j).iter().zip(&expected).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt();
-            assert!(miss <= 1e-6 * size, "{}: {miss} of {size}", n[i].what());
+            // What moves nothing here moves by rounding.
+            assert!(miss <= 1e-6 * size.max(1e-2), "{}: {miss} of {size}", n[i].what());
             moving += usize::from(size > 1.0);
         }
         assert!(moving >= 3, "velocity, all velocities, damping: {moving}");

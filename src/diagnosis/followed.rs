@@ -7,6 +7,7 @@ use super::unknowns::{Placed, Unknowns};
 use crate::column::Profile;
 use crate::effects::{self, Effect, Instance, Situation};
 use crate::error::Result;
+use toml::Value;
 
 impl Scene<'_> {
     /// The same with the fast column alone to follow nuisances and velocities.
@@ -71,15 +72,26 @@ impl Search<'_> {
 }
 
 /// `x` as anchors know it: effects in their typical sizes; those that neighbours follow count as nuisances, and as nothing by
-/// themselves.
+/// themselves. What does not change the motion of the ground counts as nothing: no replay has anything to tell of it.
 ///
 /// # Errors
 /// When an effect cannot be built.
 pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> Result<Placed> {
     let mut scaled = unknowns.placed(x);
+    for (x, _) in scaled.x.iter_mut().zip(unknowns.nuisances).filter(|(_, n)| !n.is_shaken) {
+        *x = 0.0;
+    }
+    let array = &scene.problem.array;
+    let is_output =
+        |e: &Instance| array.outputs.iter().any(|s| e.target.get("sensor").and_then(Value::as_str) == Some(s));
     let mut at = unknowns.nuisances.len();
     for instance in &unknowns.effects {
         let own = at..at + instance.free.len();
+        if is_output(instance) {
+            scaled.x[own.clone()].fill(0.0);
+            at = own.end;
+            continue;
+        }
         if unknowns.followed_as(instance).is_some() {
             at = own.end;
             continue;
@@ -99,4 +111,31 @@ pub(super) fn place(scene: &Scene<'_>, effects: &[Box<dyn Effect>], x: &[f64]) -
     let mut place = x.to_vec();
     place.iter_mut().zip(scene.velocity_shift(effects)).for_each(|(x, shift)| *x += shift);
     place
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::judged;
+    use super::super::settings::DiagnoseSettings;
+    use super::*;
+
+    #[test]
+    fn no_replay_tells_of_what_leaves_the_ground_as_it_is() {
+        let (problem, settings) = (judged(""), DiagnoseSettings::default());
+        let scene = Scene::new(&problem, &settings).unwrap();
+        let search = Search::new(&scene, &settings, None).unwrap();
+        let gains: Vec<Instance> = search.instances.iter().filter(|i| i.kind == "sensor_gain").cloned().collect();
+        let unknowns = search.unknowns(&gains);
+        let counts = |i: usize| {
+            let mut x = vec![0.0; unknowns.len()];
+            x[i] = 0.1;
+            scaled(&scene, &unknowns, &x).unwrap().x[i] != 0.0
+        };
+        for (i, nuisance) in search.nuisances.iter().enumerate() {
+            assert_eq!(counts(i), nuisance.is_shaken, "{}", nuisance.what());
+        }
+        for (i, gain) in gains.iter().enumerate() {
+            assert_eq!(counts(search.nuisances.len() + i), gain.place() == problem.array.input, "{}", gain.place());
+        }
+    }
 }

@@ -26,7 +26,8 @@ pub struct Nuisance {
     pub instance: Instance,
     /// Prior standard deviation of its coordinate.
     pub deviation: f64,
-    /// Whether it changes the motion of the ground as computed: the soil, and in which direction its base is shaken.
+    /// Whether it changes the motion of the ground as computed by more than a delay: the soil, how strongly and in which direction its
+    /// base is shaken.
     pub is_shaken: bool,
 }
 
@@ -100,7 +101,8 @@ pub fn nuisances(problem: &Problem) -> Result<Vec<Nuisance>> {
     found.push(Nuisance::new("nonlinearity", &[], NONLINEARITY_LN)?);
     for sensor in array.sensors() {
         let target = [("sensor", sensor.into())];
-        found.push(Nuisance::new("sensor_gain", &target, t.gain_ln)?);
+        let gain = Nuisance::new("sensor_gain", &target, t.gain_ln)?;
+        found.push(Nuisance { is_shaken: sensor == array.input, ..gain });
         found.push(Nuisance::new("clock_offset", &target, t.clock_s)?);
         if array.components.len() > 1 {
             let turned = Nuisance::new("sensor_orientation", &target, t.orientation_deg)?;
