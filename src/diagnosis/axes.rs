@@ -31,13 +31,14 @@ pub struct Axis {
 /// A replay on an axis, and the one that lacks nothing but its way along the axis; the same where both are one.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Node {
-    coordinate: f64,
+    pub(super) coordinate: f64,
     pub(super) replay: usize,
     pub(super) from: usize,
 }
 
 impl Axis {
-    fn new(instance: &Instance, mut nodes: Vec<Node>, nuisance: f64) -> Self {
+    /// An axis with these `nodes`, `nuisance` being where the nuisance was that is the same thing.
+    pub(super) fn new(instance: &Instance, mut nodes: Vec<Node>, nuisance: f64) -> Self {
         nodes.sort_by(|a, b| a.coordinate.total_cmp(&b.coordinate));
         Self { instance: instance.clone(), nodes, nuisance }
     }

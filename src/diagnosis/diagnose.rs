@@ -174,6 +174,9 @@ fn diagnose_rest(
     path.stiffen(&mut scene, (1.0, settings), replay)?;
     path.replay(&Search::new(&scene, settings, Some(replay))?, progress)?;
     path.alternatives = scene.alternatives((&path.corrected, &path.anchor), replay, settings, progress)?;
+    if !path.accepted.is_empty() {
+        path.look_closely(&mut scene, (replay, settings), thresholds, progress)?;
+    }
     verdict::assemble(&Search::new(&scene, settings, Some(replay))?, &path, thresholds)
 }
 

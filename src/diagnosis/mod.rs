@@ -9,7 +9,8 @@
 //! so is what a yielding column makes of that noise. Fits see training events alone; validation events are judged by
 //! what these let expect of them, the uncertainty of the fit included. Declared tolerances are nuisances of every test:
 //! only what they cannot explain may be called an effect, and the alarm thresholds are those of null twins of the same
-//! array. The verdict is on what a last replay of the answer leaves. Of models that leave no more than noise the one
+//! array. The answer is looked at closely, with derivatives from replays right beside it, and the verdict is on what its last
+//! replay leaves. Of models that leave no more than noise the one
 //! closest to what is declared stands, and where that still is farther off than chance puts it, the search goes on for
 //! what its tolerances have made up for.
 
@@ -18,6 +19,7 @@ mod at_its_end;
 mod axes;
 mod bounded;
 mod centre;
+mod closely;
 mod coherence;
 mod comparison;
 mod confirm;

@@ -10,6 +10,7 @@ use super::round::parameters;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
+use super::verdict::reach;
 use crate::effects::Class;
 use crate::error::Result;
 use crate::progress::Progress;
@@ -64,16 +65,44 @@ impl Search<'_> {
     ) -> Result<()> {
         let mut index = 0;
         while index < path.accepted.len() {
-            let fitted = self.fitted_without(path, index)?;
-            let at_stake = path.corrected.cost();
-            let without = self.replayed_until_settled(fitted, (None, &path.anchor), (REPLAYS, at_stake), progress)?;
-            if self.is_needless(path, index, &without.0, thresholds) {
-                path.take_out(index, without, progress);
-            } else {
-                index += 1;
-            }
+            index += usize::from(!self.dropped(path, index, thresholds, progress)?);
         }
         Ok(())
+    }
+
+    /// The same of effects alone that are not told from nothing.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn drop_vague(&self, path: &mut Path, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
+        let mut index = 0;
+        while index < path.accepted.len() {
+            let is_dropped = self.is_vague(path, index) && self.dropped(path, index, thresholds, progress)?;
+            index += usize::from(!is_dropped);
+        }
+        Ok(())
+    }
+
+    /// Whether what the effect of `path` at `index` vanishes at is as likely as its estimate.
+    fn is_vague(&self, path: &Path, index: usize) -> bool {
+        let model = &path.corrected;
+        let unknowns = self.unknowns(&model.effects);
+        let own = self.nuisances.len() + model.effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
+        let Some(zero) = model.effects[index].zero().and_then(|z| z.first().copied()) else { return false };
+        let deviation = self.fitter(&path.anchor).deviations(&unknowns, &model.train, model.level())[own];
+        (model.x()[own] - zero).abs() < reach(self) * deviation
+    }
+
+    /// Takes the effect of `path` at `index` out if it is needless, and says whether it was.
+    fn dropped(&self, path: &mut Path, index: usize, thresholds: &Thresholds, progress: &dyn Progress) -> Result<bool> {
+        let fitted = self.fitted_without(path, index)?;
+        let at_stake = path.corrected.cost();
+        let without = self.replayed_until_settled(fitted, (None, &path.anchor), (REPLAYS, at_stake), progress)?;
+        let is_needless = self.is_needless(path, index, &without.0, thresholds);
+        if is_needless {
+            path.take_out(index, without, progress);
+        }
+        Ok(is_needless)
     }
 
     /// The model without one of its effects, whose velocities may have been the tolerances' all along.

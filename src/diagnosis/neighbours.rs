@@ -50,18 +50,18 @@ const FARTHEST: f64 = 60.0;
 #[derive(Clone)]
 pub struct Neighbours {
     /// The manifest's own effects.
-    declared: Arc<Vec<Box<dyn Effect>>>,
+    pub(super) declared: Arc<Vec<Box<dyn Effect>>>,
     /// Nuisances of the estimate, and its `[[effects]]` beyond those.
     pub(super) at: Vec<f64>,
     pub(super) tables: Vec<toml::Table>,
     /// Effects followed beside the nuisances.
     pub(super) axes: Vec<Axis>,
     /// Where the first replay is, by group and record: its nuisances and what its effects do to velocities.
-    centre: Vec<Vec<Vec<f64>>>,
+    pub(super) centre: Vec<Vec<Vec<f64>>>,
     /// By nuisance.
-    soil: Vec<Option<Soil>>,
+    pub(super) soil: Vec<Option<Soil>>,
     /// Replays of [`STRETCH`].
-    stretch: Option<[usize; STRETCH.len()]>,
+    pub(super) stretch: Option<[usize; STRETCH.len()]>,
     /// The estimate's first; `None` where the column did not finish.
     pub(super) replays: Vec<Arc<Replayed>>,
 }
@@ -71,15 +71,17 @@ pub(super) type Replayed = Vec<Vec<Option<Seen>>>;
 
 /// A nuisance of the soil.
 #[derive(Clone)]
-struct Soil {
-    /// Its replay one prior standard deviation up; none for the common velocity.
-    up: Option<usize>,
+pub(super) struct Soil {
+    /// Its replay a step up; none for the common velocity where that is stretched.
+    pub(super) up: Option<usize>,
     /// The same down, where that is not the mirror image.
     down: Option<usize>,
+    /// The step, prior standard deviations.
+    pub(super) step: f64,
     /// c of (2).
     share: f64,
     /// Depths, m, between which it is a velocity's, and the deviation of its ln.
-    range: Option<([f64; 2], f64)>,
+    pub(super) range: Option<([f64; 2], f64)>,
 }
 
 /// One record's replay in its window.
@@ -141,16 +143,7 @@ impl Scene<'_> {
         common.into_iter().for_each(|common| all.find_shares(common));
         all.keep_axes(self.neighbours.as_deref(), (nuisances, instances));
         self.follow_effects(&mut all, replay, &unknowns, x);
-        let axes = all.axes.clone();
-        let unknowns = Unknowns { axes: Some(&axes), ..unknowns };
-        let built = unknowns.build(&self.problem.declared, x)?;
-        let placed = unknowns.placed(x).x;
-        let centre = |record: &RecordSpectra| {
-            let situation = &self.problem.events[record.event].situation;
-            let shift = self.edited_beside(Some(&all), &built, situation).1;
-            shift.iter().zip(&placed).map(|(shift, x)| shift + x).collect()
-        };
-        all.centre = self.groups.iter().map(|g| g.records.iter().map(centre).collect()).collect();
+        all.centre = self.centre(&all, &unknowns, x)?;
         let noisier = self.seen(&replay.replay_noisier(&unknowns.tables(x))?);
         let all = Arc::new(all);
         self.neighbours = Some(all.clone());
@@ -158,6 +151,19 @@ impl Scene<'_> {
             Search::new(self, settings, Some(replay))?.anchored_with_responses(instances, x, None)?;
         self.propagated = Arc::new(propagated(self, [&all.replays[0], &noisier], &anchor, &responses));
         Ok(anchor)
+    }
+
+    /// [`Neighbours::centre`] of `all` around `x`.
+    pub(super) fn centre(&self, all: &Neighbours, unknowns: &Unknowns<'_>, x: &[f64]) -> Result<Vec<Vec<Vec<f64>>>> {
+        let unknowns = Unknowns { axes: Some(&all.axes), ..unknowns.clone() };
+        let built = unknowns.build(&self.problem.declared, x)?;
+        let placed = unknowns.placed(x).x;
+        let centre = |record: &RecordSpectra| {
+            let situation = &self.problem.events[record.event].situation;
+            let shift = self.edited_beside(Some(all), &built, situation).1;
+            shift.iter().zip(&placed).map(|(shift, x)| shift + x).collect()
+        };
+        Ok(self.groups.iter().map(|g| g.records.iter().map(centre).collect()).collect())
     }
 
     /// A rough replay under `effects`, as records are seen.
@@ -168,7 +174,7 @@ impl Scene<'_> {
         Ok(self.seen(&replay.replay_roughly(effects)?))
     }
 
-    fn seen(&self, replays: &[Option<Vec<Vec<f64>>>]) -> Replayed {
+    pub(super) fn seen(&self, replays: &[Option<Vec<Vec<f64>>>]) -> Replayed {
         let of = |g: usize, r: usize| {
             let record = &self.groups[g].records[r];
             let window = record.window.clone();
@@ -188,12 +194,12 @@ impl Scene<'_> {
 }
 
 impl Soil {
-    fn of(nuisance: &Nuisance) -> Self {
+    pub(super) fn of(nuisance: &Nuisance) -> Self {
         let at = |key: &str| nuisance.instance.target.get(key).and_then(toml::Value::as_float);
         let range = at("top_m").zip(at("bottom_m")).map(|(top_m, bottom_m)| [top_m, bottom_m]);
         let is_velocity = nuisance.instance.kind == "layer_velocity";
         let range = range.filter(|_| is_velocity).map(|range| (range, nuisance.deviation));
-        Self { up: None, down: None, share: 0.0, range }
+        Self { up: None, down: None, step: 1.0, share: 0.0, range }
     }
 }
 
@@ -265,8 +271,8 @@ impl Neighbours {
                 (Some(up), _) => (up, n),
                 _ => continue,
             };
-            weights[replay] += n;
-            weights[0] -= n;
+            weights[replay] += n / soil.step;
+            weights[0] -= n / soil.step;
             along += soil.share * n;
         }
         for (i, axis) in self.axes.iter().enumerate() {
@@ -371,8 +377,8 @@ mod tests {
         let mut values = vec![of([0.0; 2], 0.0), of([1.0, 0.0], 0.0), of([0.0, 1.0], 0.0), of([0.0; 2], 1.0)];
         values.push(of([0.0; 2], -1.0));
         values.extend(STRETCH.iter().filter(|s| **s != 0.0).map(|s| of([0.4 * s, 0.2 * s], 0.0)));
-        let velocity = |up| Some(Soil { up, down: None, share: 0.0, range: Some(([0.0, 1.0], 0.03)) });
-        let damping = Some(Soil { up: Some(3), down: Some(4), share: 0.0, range: None });
+        let velocity = |up| Some(Soil { up, down: None, step: 1.0, share: 0.0, range: Some(([0.0, 1.0], 0.03)) });
+        let damping = Some(Soil { up: Some(3), down: Some(4), step: 1.0, share: 0.0, range: None });
         let mut all = Neighbours {
             declared: Arc::default(),
             at: Vec::new(),

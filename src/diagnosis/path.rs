@@ -1,7 +1,7 @@
 //! What a diagnosis goes through, from the declared model to the corrected one.
 
 use super::anchor::Anchor;
-use super::outcome::Candidate;
+use super::outcome::{Candidate, Thresholds};
 use super::problem::Replay;
 use super::responses::Scene;
 use super::round::Fitted;
@@ -101,6 +101,35 @@ impl Path {
         (self.corrected, self.anchor) =
             search.replayed(self.corrected.clone(), (None, &self.anchor), (REPLAYS, before), progress)?;
         progress.note(&format!("answer: cost {before:.0} before its replay, {:.0} now", self.corrected.cost()));
+        Ok(())
+    }
+
+    /// Settles the answer with derivatives right where it is, which `scene` has from then on, and takes out what then is not told from
+    /// nothing.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub fn look_closely(
+        &mut self,
+        scene: &mut Scene<'_>,
+        (replay, settings): (&dyn Replay, &DiagnoseSettings),
+        thresholds: &Thresholds,
+        progress: &dyn Progress,
+    ) -> Result<()> {
+        let around = scene.clone();
+        let here = (self.corrected.clone(), self.anchor.clone());
+        (self.corrected, self.anchor) = scene.settled_closely(here, replay, settings, progress)?;
+        let n_accepted = self.accepted.len();
+        Search::new(scene, settings, Some(replay))?.drop_vague(self, thresholds, progress)?;
+        if self.accepted.len() == n_accepted {
+            return Ok(());
+        }
+        if self.accepted.is_empty() && self.corrected.cost() < self.recalibrated.cost() {
+            self.recalibrated = self.corrected.clone();
+        }
+        let search = Search::new(&around, settings, Some(replay))?;
+        let anchor = search.anchored(&self.corrected.effects, self.corrected.x(), None)?;
+        self.alternatives = around.alternatives((&self.corrected, &anchor), replay, settings, progress)?;
         Ok(())
     }
 }

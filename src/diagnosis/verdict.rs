@@ -27,7 +27,7 @@ const TWO_SIDED: f64 = 1.96;
 /// ```
 ///
 /// a being the cost within which two effects count as indistinguishable: two replays that hardly differ cost as much more or less.
-fn reach(search: &Search<'_>) -> f64 {
+pub(super) fn reach(search: &Search<'_>) -> f64 {
     let unresolved = if search.replay.is_some() { search.settings.ambiguity } else { 0.0 };
     (TWO_SIDED * TWO_SIDED + unresolved).sqrt()
 }
