@@ -20,6 +20,8 @@ use crate::progress::Progress;
 const DETAIL: f64 = 0.01;
 /// Share of the excess over noise that a look must leave at most for another to follow.
 pub(super) const PAYS: f64 = 0.9;
+/// Share of the typical size of an effect below which it is in doubt.
+const SMALL: f64 = 0.1;
 /// Most replays of a model without one of its effects.
 const REPLAYS: usize = 6;
 /// Most looks around a model with its effects: the replays around a place say less of the next, and a valley is walked in steps.
@@ -70,27 +72,35 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// The same of effects alone that are not told from nothing.
+    /// The same of effects alone that are in doubt.
     ///
     /// # Errors
     /// When a replay is impossible.
-    pub(super) fn drop_vague(&self, path: &mut Path, thresholds: &Thresholds, progress: &dyn Progress) -> Result<()> {
+    pub(super) fn drop_doubtful(
+        &self,
+        path: &mut Path,
+        thresholds: &Thresholds,
+        progress: &dyn Progress,
+    ) -> Result<()> {
         let mut index = 0;
         while index < path.accepted.len() {
-            let is_dropped = self.is_vague(path, index) && self.dropped(path, index, thresholds, progress)?;
+            let is_dropped = self.is_doubtful(path, index) && self.dropped(path, index, thresholds, progress)?;
             index += usize::from(!is_dropped);
         }
         Ok(())
     }
 
-    /// Whether what the effect of `path` at `index` vanishes at is as likely as its estimate.
-    fn is_vague(&self, path: &Path, index: usize) -> bool {
+    /// Whether the effect of `path` at `index` is not told from nothing, or far smaller than such effects are.
+    fn is_doubtful(&self, path: &Path, index: usize) -> bool {
         let model = &path.corrected;
         let unknowns = self.unknowns(&model.effects);
         let own = self.nuisances.len() + model.effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
-        let Some(zero) = model.effects[index].zero().and_then(|z| z.first().copied()) else { return false };
+        let instance = &model.effects[index];
+        let Some((zero, free)) = instance.zero().and_then(|z| z.first().copied()).zip(instance.free.first()) else {
+            return false;
+        };
         let deviation = self.fitter(&path.anchor).deviations(&unknowns, &model.train, model.level())[own];
-        (model.x()[own] - zero).abs() < reach(self) * deviation
+        (model.x()[own] - zero).abs() < (reach(self) * deviation).max(SMALL * free.parameter.prior_sd)
     }
 
     /// Takes the effect of `path` at `index` out if it is needless, and says whether it was.
@@ -117,6 +127,10 @@ impl Search<'_> {
         let own = &path.corrected.effects[index];
         if self.scene.is_stiff() && without.is_clean() && path.corrected.is_clean() {
             return self.plainer(without, &path.corrected, own) < thresholds.gain;
+        }
+        // Where nothing is left that asks for an effect, a small one has taken the place of tolerances.
+        if without.excess() <= 0.0 && !without.is_strained() && self.is_doubtful(path, index) {
+            return true;
         }
         let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
         let least = least_gain(others.map(|(_, f)| f.gain), &path.corrected, thresholds);

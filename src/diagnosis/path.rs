@@ -104,8 +104,8 @@ impl Path {
         Ok(())
     }
 
-    /// Settles the answer with derivatives right where it is, which `scene` has from then on, and takes out what then is not told from
-    /// nothing.
+    /// Settles the answer with derivatives right where it is, which `scene` has from then on, and takes out what then is in doubt and
+    /// needless.
     ///
     /// # Errors
     /// When a replay is impossible.
@@ -120,7 +120,7 @@ impl Path {
         let here = (self.corrected.clone(), self.anchor.clone());
         (self.corrected, self.anchor) = scene.settled_closely(here, replay, settings, progress)?;
         let n_accepted = self.accepted.len();
-        Search::new(scene, settings, Some(replay))?.drop_vague(self, thresholds, progress)?;
+        Search::new(scene, settings, Some(replay))?.drop_doubtful(self, thresholds, progress)?;
         if self.accepted.len() == n_accepted {
             return Ok(());
         }
