@@ -19,11 +19,14 @@ use std::sync::Arc;
 const MOVED: f64 = 0.03;
 /// Most looks: a curved valley is walked in steps.
 const LOOKS: usize = 3;
+/// Most steps of a fit.
+const STEPS: usize = 12;
 /// Share of the cost that a look must take off for another to follow.
 const PAYS: f64 = 0.01;
 
 impl Scene<'_> {
-    /// The `model` settled with derivatives right where it is, as long as that pays; the scene looks around there.
+    /// The `model` settled with derivatives right where it is, as long as that pays, and as its best replay has it; the scene looks around
+    /// there.
     ///
     /// Effects and tolerances that nearly make up for each other leave a valley in which derivatives that are wrong by a tenth show a
     /// slope where there is none: the answer stays where it first came upon the valley, and seems known there.
@@ -45,7 +48,10 @@ impl Scene<'_> {
             there.look_closely(replay, (&model.effects, model.x(), &steps), progress)?;
             let search = Search::new(&there, settings, Some(replay))?;
             let around = search.anchored(&model.effects, model.x(), None)?;
-            let found = search.settled(&model.effects, model.x(), (around, MAX_ANCHORS), progress)?;
+            let here = search.settle(&model.effects, model.x(), &around, None, 0)?;
+            let wanted = search.settle(&model.effects, model.x(), &around, Some(&here), STEPS)?;
+            let best = Some((here, around.clone()));
+            let found = search.replayed(wanted, (best, &around), (MAX_ANCHORS, f64::INFINITY), progress)?;
             let (before, now) = (model.cost(), found.0.cost());
             progress.note(&format!("looked at closely: {before:.0} before, {now:.0} now"));
             *self = there;
