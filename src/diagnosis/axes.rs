@@ -81,6 +81,12 @@ pub(super) fn is_followable(instance: &Instance) -> bool {
     instance.class() == Class::Soil && instance.free.len() == 1 && instance.zero().is_some()
 }
 
+/// The same around its estimate: its velocities are those of the nuisances there; told apart by how they were replayed, they would seem
+/// known apart.
+pub(super) fn has_axis(instance: &Instance) -> bool {
+    is_followable(instance) && instance.kind != "layer_velocity"
+}
+
 impl Scene<'_> {
     /// The same with replays along those of `wanted` that are effects of the soil, each at the coordinate given.
     ///
@@ -134,13 +140,9 @@ impl Scene<'_> {
 
     /// Adds axes to `all` for the effects of `unknowns` at `x`, around which these are.
     pub(super) fn follow_effects(&self, all: &mut Neighbours, replay: &dyn Replay, unknowns: &Unknowns<'_>, x: &[f64]) {
-        let mut at = unknowns.nuisances.len();
-        for instance in &unknowns.effects {
-            let own = at;
-            at += instance.free.len();
-            // Its velocities are those of the nuisances: told apart by how they were replayed, they would seem known apart.
-            let is_own = is_followable(instance) && instance.kind != "layer_velocity";
-            let Some(zero) = instance.zero().map(|z| z[0]).filter(|_| is_own) else { continue };
+        for (index, instance) in unknowns.effects.iter().enumerate().filter(|(_, i)| has_axis(i)) {
+            let own = unknowns.start(index);
+            let Some(zero) = instance.zero().map(|z| z[0]) else { continue };
             let [low, high] = instance.bounds()[0];
             let beyond = (x[own] + BEYOND * (x[own] - zero)).clamp(low, high);
             let new: Vec<f64> = [zero, beyond].into_iter().filter(|coordinate| *coordinate != x[own]).collect();

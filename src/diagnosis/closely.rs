@@ -1,15 +1,15 @@
 //! The answer looked at closely: derivatives from replays so near that nothing between them turns in phase.
 
 use super::anchor::Anchor;
-use super::axes::{Axis, Node, is_followable};
-use super::neighbours::{Neighbours, Replayed, Soil};
-use super::problem::Replay;
+use super::axes::{Axis, Node, has_axis};
+use super::neighbours::{Replayed, Soil};
+use super::problem::{Motions, Replay};
 use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use super::unknowns::{Nuisance, Unknowns, nuisances};
-use crate::effects::{self, Instance};
+use super::unknowns::{Nuisance, Unknowns, common_velocity, nuisances};
+use crate::effects::Instance;
 use crate::error::Result;
 use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
@@ -44,17 +44,15 @@ impl Scene<'_> {
     ) -> Result<(Model, Anchor)> {
         for _ in 0..LOOKS {
             let steps = Search::new(self, settings, Some(replay))?.steps(&model, &anchor);
-            let mut there = self.clone();
-            there.look_closely(replay, (&model.effects, model.x(), &steps), progress)?;
-            let search = Search::new(&there, settings, Some(replay))?;
-            let around = search.anchored(&model.effects, model.x(), None)?;
+            let motions = self.look_closely(replay, (&model.effects, model.x(), &steps), progress)?;
+            let search = Search::new(self, settings, Some(replay))?;
+            let around = search.anchor((&model.effects, model.x()), &motions, None)?.0;
             let here = search.settle(&model.effects, model.x(), &around, None, 0)?;
             let wanted = search.settle(&model.effects, model.x(), &around, Some(&here), STEPS)?;
             let best = Some((here, around.clone()));
             let found = search.replayed(wanted, (best, &around), (MAX_ANCHORS, f64::INFINITY), progress)?;
             let (before, now) = (model.cost(), found.0.cost());
             progress.note(&format!("looked at closely: {before:.0} before, {now:.0} now"));
-            *self = there;
             (model, anchor) = found;
             if now > (1.0 - PAYS) * before {
                 break;
@@ -64,16 +62,16 @@ impl Scene<'_> {
     }
 
     /// Replays around the unknowns `x`, one of [`Replay::replay`] to each unknown that moves the ground, these `steps` away. What the
-    /// column makes of noise in its input stays as it was heard.
+    /// column makes of noise in its input stays as it was heard. The motions at `x`.
     fn look_closely(
         &mut self,
         replay: &dyn Replay,
         (instances, x, steps): (&[Instance], &[f64], &[f64]),
         progress: &dyn Progress,
-    ) -> Result<()> {
+    ) -> Result<Motions> {
         let nuisances = &nuisances(self.problem)?;
         let unknowns = Unknowns { nuisances, effects: instances.to_vec(), axes: Some(&[]) };
-        let common = nuisances.iter().rposition(|n| n.instance.kind == "layer_velocity");
+        let common = common_velocity(nuisances);
         let mut moves: Vec<usize> = Vec::new();
         let soil = |(i, n): (usize, &Nuisance)| {
             let mut own = n.is_shaken.then(|| Soil::of(n))?;
@@ -85,49 +83,33 @@ impl Scene<'_> {
             Some(own)
         };
         let soil: Vec<Option<Soil>> = nuisances.iter().enumerate().map(soil).collect();
-        let mut at = nuisances.len();
-        let mut along = Vec::new();
-        for instance in instances {
-            if is_followable(instance) && instance.kind != "layer_velocity" {
-                along.push((instance, at));
-                moves.push(at);
-            }
-            at += instance.free.len();
-        }
+        let along = || instances.iter().enumerate().filter(|(_, i)| has_axis(i)).map(|(k, i)| (i, unknowns.start(k)));
+        let first = moves.len() + 1;
+        moves.extend(along().map(|(_, at)| at));
         let bounds = unknowns.bounds();
-        let moved = |i: usize| if x[i] + steps[i] > bounds[i][1] { x[i] - steps[i] } else { x[i] + steps[i] };
-        let seen =
-            |x: &[f64]| -> Result<Arc<Replayed>> { Ok(Arc::new(self.seen(&replay.replay(&unknowns.tables(x))?))) };
+        // A nuisance at its end may be replayed a step beyond.
+        let is_beyond = |i: usize| i >= nuisances.len() && x[i] + steps[i] > bounds[i][1];
+        let moved = |i: usize| if is_beyond(i) { x[i] - steps[i] } else { x[i] + steps[i] };
         progress.start("neighbours", moves.len() as u64);
         let run = |k: usize| -> Result<Arc<Replayed>> {
             let mut x = x.to_vec();
-            // A nuisance at its end may be replayed a step beyond.
-            x[moves[k]] = if moves[k] < nuisances.len() { x[moves[k]] + steps[moves[k]] } else { moved(moves[k]) };
-            let seen = seen(&x)?;
+            x[moves[k]] = moved(moves[k]);
+            let seen = self.seen(&replay.replay(&unknowns.tables(&x))?);
             progress.advance(1);
-            Ok(seen)
+            Ok(Arc::new(seen))
         };
-        let mut replays = vec![seen(x)?];
-        replays.extend(on_threads(moves.len(), run).into_iter().collect::<Result<Vec<_>>>()?);
-        let first = replays.len() - along.len();
-        let axis = |(k, (instance, i)): (usize, &(&Instance, usize))| {
+        let motions = replay.replay(&unknowns.tables(x))?;
+        let mut all = self.around(&unknowns, x, soil, self.seen(&motions))?;
+        all.replays.extend(on_threads(moves.len(), run).into_iter().collect::<Result<Vec<_>>>()?);
+        let axis = |(k, (instance, i)): (usize, (&Instance, usize))| {
             let same = nuisances.iter().position(|n| n.is_same(instance)).map_or(0.0, |n| x[n]);
             let node = |coordinate, replay| Node { coordinate, replay, from: 0 };
-            Axis::new(instance, vec![node(x[*i], 0), node(moved(*i), first + k)], same)
+            Axis::new(instance, vec![node(x[i], 0), node(moved(i), first + k)], same)
         };
-        let mut all = Neighbours {
-            declared: Arc::new(effects::build_all(&self.problem.declared)?),
-            at: x[..nuisances.len()].to_vec(),
-            tables: unknowns.tables(x),
-            axes: along.iter().enumerate().map(axis).collect(),
-            centre: Vec::new(),
-            soil,
-            stretch: None,
-            replays,
-        };
+        all.axes = along().enumerate().map(axis).collect();
         all.centre = self.centre(&all, &unknowns, x)?;
         self.neighbours = Some(Arc::new(all));
-        Ok(())
+        Ok(motions)
     }
 }
 
@@ -151,6 +133,7 @@ impl Search<'_> {
 mod tests {
     use super::super::made_up::{Uniform, judged};
     use super::*;
+    use crate::effects;
     use crate::manifest::Tolerances;
     use crate::progress::Quiet;
 

@@ -60,9 +60,9 @@ impl Search<'_> {
     /// # Errors
     /// When the effect cannot be built.
     pub(super) fn without(&self, effects: &[Instance], x: &[f64], index: usize) -> Result<(Vec<Instance>, Vec<f64>)> {
+        let at = self.unknowns(effects).start(index);
         let mut effects = effects.to_vec();
         let taken_out = effects.remove(index);
-        let at = self.nuisances.len() + effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
         let mut x = x.to_vec();
         let own: Vec<f64> = x.drain(at..at + taken_out.free.len()).collect();
         let taken = self.scene.velocity_shift_with(&taken_out.at(&own))?;
@@ -84,24 +84,18 @@ pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> R
     let array = &scene.problem.array;
     let is_output =
         |e: &Instance| array.outputs.iter().any(|s| e.target.get("sensor").and_then(Value::as_str) == Some(s));
-    let mut at = unknowns.nuisances.len();
-    for instance in &unknowns.effects {
-        let own = at..at + instance.free.len();
+    for (index, instance) in unknowns.effects.iter().enumerate() {
+        let start = unknowns.start(index);
+        let own = start..start + instance.free.len();
         if is_output(instance) {
-            scaled.x[own.clone()].fill(0.0);
-            at = own.end;
-            continue;
+            scaled.x[own].fill(0.0);
+        } else if unknowns.followed_as(instance).is_none() {
+            let shift = scene.velocity_shift_with(&instance.at(&x[own.clone()]))?;
+            let is_followed = unknowns.axis(instance).is_none() && shift.iter().any(|s| *s != 0.0);
+            for (x, free) in scaled.x[own].iter_mut().zip(&instance.free) {
+                *x = if is_followed { 0.0 } else { *x / free.parameter.prior_sd };
+            }
         }
-        if unknowns.followed_as(instance).is_some() {
-            at = own.end;
-            continue;
-        }
-        let shift = scene.velocity_shift_with(&instance.at(&x[own.clone()]))?;
-        let is_followed = unknowns.axis(instance).is_none() && shift.iter().any(|s| *s != 0.0);
-        for (x, free) in scaled.x[own.clone()].iter_mut().zip(&instance.free) {
-            *x = if is_followed { 0.0 } else { *x / free.parameter.prior_sd };
-        }
-        at = own.end;
     }
     Ok(scaled)
 }

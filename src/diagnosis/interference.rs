@@ -1,7 +1,8 @@
 //! What instruments add by themselves, estimated from the records that carry it.
 
+use super::problem::Event;
 use super::responses::Scene;
-use crate::effects::{Channel, Effect};
+use crate::effects::{Array, Channel, Effect};
 use realfft::num_complex::Complex;
 
 type C64 = Complex<f64>;
@@ -17,21 +18,25 @@ impl Scene<'_> {
 
     /// The same in time on one `channel` (0: input) of record `r` of group `g`, m/s², as long as the event.
     pub(super) fn added(&self, effects: &[Box<dyn Effect>], [g, r]: [usize; 2], channel: usize) -> Option<Vec<f64>> {
-        let array = &self.problem.array;
         let event = &self.problem.events[self.groups[g].records[r].event];
-        let acceleration_m_s2 = if channel == 0 { &event.input } else { event.outputs.get(channel - 1)? };
-        let channel = Channel {
-            sensor: array.sensors().nth(channel)?,
-            component: array.components.get(event.component()).map_or("", String::as_str),
-            event: &event.name,
-            dt_s: event.dt_s,
-            acceleration_m_s2,
-        };
-        effects.iter().filter_map(|e| e.estimated_interference(&channel)).reduce(|mut a, b| {
-            a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
-            a
-        })
+        added(&self.problem.array, effects, event, channel)
     }
+}
+
+/// What `effects` add to one `channel` (0: input) of `event`, m/s², as far as the record tells; `None` where that is nothing.
+pub(super) fn added(array: &Array, effects: &[Box<dyn Effect>], event: &Event, channel: usize) -> Option<Vec<f64>> {
+    let acceleration_m_s2 = if channel == 0 { &event.input } else { event.outputs.get(channel - 1)? };
+    let channel = Channel {
+        sensor: array.sensors().nth(channel)?,
+        component: array.components.get(event.component()).map_or("", String::as_str),
+        event: &event.name,
+        dt_s: event.dt_s,
+        acceleration_m_s2,
+    };
+    effects.iter().filter_map(|e| e.estimated_interference(&channel)).reduce(|mut a, b| {
+        a.iter_mut().zip(b).for_each(|(a, b)| *a += b);
+        a
+    })
 }
 
 #[cfg(test)]

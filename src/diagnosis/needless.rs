@@ -65,11 +65,7 @@ impl Search<'_> {
         thresholds: &Thresholds,
         progress: &dyn Progress,
     ) -> Result<()> {
-        let mut index = 0;
-        while index < path.accepted.len() {
-            index += usize::from(!self.dropped(path, index, thresholds, progress)?);
-        }
-        Ok(())
+        self.drop(path, |_, _| true, thresholds, progress)
     }
 
     /// The same of effects alone that are in doubt.
@@ -82,9 +78,20 @@ impl Search<'_> {
         thresholds: &Thresholds,
         progress: &dyn Progress,
     ) -> Result<()> {
+        self.drop(path, |path, index| self.is_doubtful(path, index), thresholds, progress)
+    }
+
+    /// The same of those that `is_asked` about.
+    fn drop(
+        &self,
+        path: &mut Path,
+        is_asked: impl Fn(&Path, usize) -> bool,
+        thresholds: &Thresholds,
+        progress: &dyn Progress,
+    ) -> Result<()> {
         let mut index = 0;
         while index < path.accepted.len() {
-            let is_dropped = self.is_doubtful(path, index) && self.dropped(path, index, thresholds, progress)?;
+            let is_dropped = is_asked(path, index) && self.dropped(path, index, thresholds, progress)?;
             index += usize::from(!is_dropped);
         }
         Ok(())
@@ -94,7 +101,7 @@ impl Search<'_> {
     fn is_doubtful(&self, path: &Path, index: usize) -> bool {
         let model = &path.corrected;
         let unknowns = self.unknowns(&model.effects);
-        let own = self.nuisances.len() + model.effects[..index].iter().map(|e| e.free.len()).sum::<usize>();
+        let own = unknowns.start(index);
         let instance = &model.effects[index];
         let Some((zero, free)) = instance.zero().and_then(|z| z.first().copied()).zip(instance.free.first()) else {
             return false;

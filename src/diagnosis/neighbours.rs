@@ -8,7 +8,7 @@ use super::responses::Scene;
 use super::search::Search;
 use super::settings::DiagnoseSettings;
 use super::spectra::RecordSpectra;
-use super::unknowns::{Nuisance, Placed, Unknowns, nuisances};
+use super::unknowns::{Nuisance, Placed, Unknowns, common_velocity, nuisances};
 use super::velocities::{ln_velocity, velocity};
 use crate::column::Profile;
 use crate::effects::{self, Effect, Instance, Situation};
@@ -50,7 +50,7 @@ const FARTHEST: f64 = 60.0;
 #[derive(Clone)]
 pub struct Neighbours {
     /// The manifest's own effects.
-    pub(super) declared: Arc<Vec<Box<dyn Effect>>>,
+    declared: Arc<Vec<Box<dyn Effect>>>,
     /// Nuisances of the estimate, and its `[[effects]]` beyond those.
     pub(super) at: Vec<f64>,
     pub(super) tables: Vec<toml::Table>,
@@ -59,9 +59,9 @@ pub struct Neighbours {
     /// Where the first replay is, by group and record: its nuisances and what its effects do to velocities.
     pub(super) centre: Vec<Vec<Vec<f64>>>,
     /// By nuisance.
-    pub(super) soil: Vec<Option<Soil>>,
+    soil: Vec<Option<Soil>>,
     /// Replays of [`STRETCH`].
-    pub(super) stretch: Option<[usize; STRETCH.len()]>,
+    stretch: Option<[usize; STRETCH.len()]>,
     /// The estimate's first; `None` where the column did not finish.
     pub(super) replays: Vec<Arc<Replayed>>,
 }
@@ -107,17 +107,9 @@ impl Scene<'_> {
     ) -> Result<Anchor> {
         let nuisances = &nuisances(self.problem)?;
         let unknowns = Unknowns { nuisances, effects: instances.to_vec(), axes: Some(&[]) };
-        let common = nuisances.iter().rposition(|n| n.instance.kind == "layer_velocity");
-        let mut all = Neighbours {
-            declared: Arc::new(effects::build_all(&self.problem.declared)?),
-            at: x[..nuisances.len()].to_vec(),
-            tables: unknowns.tables(x),
-            axes: Vec::new(),
-            soil: nuisances.iter().map(|n| n.is_shaken.then(|| Soil::of(n))).collect(),
-            stretch: None,
-            replays: vec![Arc::new(self.seen_roughly(replay, &unknowns.tables(x))?)],
-            centre: Vec::new(),
-        };
+        let common = common_velocity(nuisances);
+        let soil = nuisances.iter().map(|n| n.is_shaken.then(|| Soil::of(n))).collect();
+        let mut all = self.around(&unknowns, x, soil, self.seen_roughly(replay, &unknowns.tables(x))?)?;
         // Replay k of these becomes the replay k + 1 of `all`.
         let mut moves: Vec<(usize, f64)> = Vec::new();
         let mut to_run = |nuisance: usize, deviations: f64| {
@@ -151,6 +143,29 @@ impl Scene<'_> {
             Search::new(self, settings, Some(replay))?.anchored_with_responses(instances, x, None)?;
         self.propagated = Arc::new(propagated(self, [&all.replays[0], &noisier], &anchor, &responses));
         Ok(anchor)
+    }
+
+    /// Neighbours of the unknowns `x` that know no more than `replayed`, the replay there.
+    ///
+    /// # Errors
+    /// When a declared effect cannot be built.
+    pub(super) fn around(
+        &self,
+        unknowns: &Unknowns<'_>,
+        x: &[f64],
+        soil: Vec<Option<Soil>>,
+        replayed: Replayed,
+    ) -> Result<Neighbours> {
+        Ok(Neighbours {
+            declared: Arc::new(effects::build_all(&self.problem.declared)?),
+            at: x[..unknowns.nuisances.len()].to_vec(),
+            tables: unknowns.tables(x),
+            axes: Vec::new(),
+            centre: Vec::new(),
+            soil,
+            stretch: None,
+            replays: vec![Arc::new(replayed)],
+        })
     }
 
     /// [`Neighbours::centre`] of `all` around `x`.

@@ -3,7 +3,7 @@
 use super::anchor::Anchor;
 use super::fit::{Fitter, Point};
 use super::followed::scaled;
-use super::problem::{Problem, Replay};
+use super::problem::{Motions, Problem, Replay};
 use super::responses::{Responses, Scene};
 use super::settings::DiagnoseSettings;
 use super::unknowns::{Nuisance, Unknowns, nuisances};
@@ -233,14 +233,25 @@ impl<'a> Search<'a> {
         x: &[f64],
         before: Option<&Anchor>,
     ) -> Result<(Anchor, Responses)> {
+        let replays = self.replay.map_or(Ok(Vec::new()), |r| r.replay(&self.unknowns(effects).tables(x)))?;
+        self.anchor((effects, x), &replays, before)
+    }
+
+    /// The same where the `replays` at `x` are there already.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    pub(super) fn anchor(
+        &self,
+        (effects, x): (&[Instance], &[f64]),
+        replays: &Motions,
+        before: Option<&Anchor>,
+    ) -> Result<(Anchor, Responses)> {
         let unknowns = self.unknowns(effects);
         let built = unknowns.build(&self.scene.problem.declared, x)?;
         let all: Vec<usize> = (0..self.scene.groups.len()).collect();
         let responses = self.scene.responses(&built, &all, None)?;
-        let replays = self.replay.map_or(Ok(Vec::new()), |r| r.replay(&unknowns.tables(x)))?;
-        Ok((
-            Anchor::of(self.scene, &replays, (&built, &scaled(self.scene, &unknowns, x)?), &responses, before),
-            responses,
-        ))
+        let placed = scaled(self.scene, &unknowns, x)?;
+        Ok((Anchor::of(self.scene, replays, (&built, &placed), &responses, before), responses))
     }
 }

@@ -327,7 +327,8 @@ fn reflection(components: &[String], sensor: &str, matrix: [[f64; 2]; 2]) -> Vec
     }
 }
 
-fn table(kind: &str, sensor: &str) -> Table {
+/// The effect `kind` at `sensor`, without its parameters.
+pub(super) fn table(kind: &str, sensor: &str) -> Table {
     Table::from_iter([("kind".to_string(), Value::from(kind)), ("sensor".to_string(), Value::from(sensor))])
 }
 

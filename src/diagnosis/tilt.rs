@@ -1,9 +1,11 @@
 //! Sensors that tilt: far below the first resonance a column moves as one, and what one sensor has there that another has not is
 //! no soil's.
 
+use super::interference::added;
 use super::low_frequency::{Error, jackknife, travel_s};
 use super::problem::{Event, Problem};
-use crate::effects::{self, Array, Channel, Effect};
+use super::standing;
+use crate::effects::{self, Array, Effect};
 use crate::error::Result;
 use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
@@ -63,14 +65,11 @@ pub fn without<'a>(problem: &'a Problem, tables: &[Table]) -> Result<Cow<'a, Pro
     let effects = effects::build_all(tables)?;
     let mut cleaned = Cow::Borrowed(problem);
     for e in 0..problem.events.len() {
-        for (channel, sensor) in problem.array.sensors().enumerate() {
-            for added in
-                effects.iter().filter_map(|x| added(&problem.array, x.as_ref(), &problem.events[e], channel, sensor))
-            {
-                let event = &mut cleaned.to_mut().events[e];
-                let record = if channel == 0 { &mut event.input } else { &mut event.outputs[channel - 1] };
-                record.iter_mut().zip(added).for_each(|(x, a)| *x -= a);
-            }
+        for channel in 0..=problem.array.outputs.len() {
+            let Some(added) = added(&problem.array, &effects, &problem.events[e], channel) else { continue };
+            let event = &mut cleaned.to_mut().events[e];
+            let record = if channel == 0 { &mut event.input } else { &mut event.outputs[channel - 1] };
+            record.iter_mut().zip(added).for_each(|(x, a)| *x -= a);
         }
     }
     Ok(cleaned)
@@ -78,19 +77,9 @@ pub fn without<'a>(problem: &'a Problem, tables: &[Table]) -> Result<Cow<'a, Pro
 
 /// The effect that tilts `sensor`.
 pub fn table(sensor: &str, tilt_deg: f64) -> Table {
-    let values = [("kind", Value::from(KIND)), ("sensor", sensor.into()), ("tilt_deg", tilt_deg.into())];
-    values.into_iter().map(|(key, value)| (key.to_string(), value)).collect()
-}
-
-/// What `effect` adds to a `channel` (0: input) of `event`, as far as the record tells.
-fn added(array: &Array, effect: &dyn Effect, event: &Event, channel: usize, sensor: &str) -> Option<Vec<f64>> {
-    effect.estimated_interference(&Channel {
-        sensor,
-        component: array.components.get(event.component()).map_or("", String::as_str),
-        event: &event.name,
-        dt_s: event.dt_s,
-        acceleration_m_s2: if channel == 0 { &event.input } else { event.outputs.get(channel - 1)? },
-    })
+    let mut table = standing::table(KIND, sensor);
+    table.insert("tilt_deg".into(), Value::from(tilt_deg));
+    table
 }
 
 /// Y − U and H of one record.
@@ -100,7 +89,7 @@ struct Pair {
 }
 
 fn compared(array: &Array, unit: &[Box<dyn Effect>], event: &Event, s: usize, highest_hz: f64) -> Option<Pair> {
-    let course = added(array, unit.first()?.as_ref(), event, s + 1, array.outputs.get(s)?)?;
+    let course = added(array, unit, event, s + 1)?;
     let n = event.input.len();
     let last = (highest_hz * n as f64 * event.dt_s).floor() as usize;
     let plan = RealFftPlanner::<f64>::new().plan_fft_forward(n);

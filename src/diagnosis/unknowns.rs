@@ -113,6 +113,11 @@ pub fn nuisances(problem: &Problem) -> Result<Vec<Nuisance>> {
     Ok(found)
 }
 
+/// Which of `nuisances` is the velocity of all layers together.
+pub(super) fn common_velocity(nuisances: &[Nuisance]) -> Option<usize> {
+    nuisances.iter().rposition(|n| n.instance.kind == "layer_velocity")
+}
+
 /// `[[effects]]` tables of `nuisances` so many prior standard deviations from their declared values.
 pub fn nuisance_tables(nuisances: &[Nuisance], deviations: &[f64]) -> Vec<toml::Table> {
     nuisances.iter().zip(deviations).map(|(n, x)| n.table(*x)).collect()
@@ -172,6 +177,11 @@ impl Unknowns<'_> {
     /// Free parameters of the effects.
     pub fn n_effect(&self) -> usize {
         self.effects.iter().map(|e| e.free.len()).sum()
+    }
+
+    /// Place of the first parameter of the effect at `index`.
+    pub fn start(&self, index: usize) -> usize {
+        self.nuisances.len() + self.effects[..index].iter().map(|e| e.free.len()).sum::<usize>()
     }
 
     /// `[[effects]]` tables at `x`, nuisances first.
