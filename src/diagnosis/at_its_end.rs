@@ -12,8 +12,6 @@ use crate::progress::Progress;
 
 /// Prior standard deviations at which a tolerance is as good as at its end.
 const END: f64 = 3.0;
-/// Steps of a fit there.
-const STEPS: usize = 6;
 
 impl Scene<'_> {
     /// The `model`, or where tolerances are at their end, the one in which what these stand for is an effect instead of the last: it
@@ -51,18 +49,7 @@ impl Search<'_> {
         let kinds: Vec<&str> =
             (0..self.nuisances.len()).filter(|n| is_far(*n)).map(|n| self.nuisances[n].instance.kind).collect();
         let Some(last) = model.effects.len().checked_sub(1).filter(|_| !kinds.is_empty()) else { return Ok(None) };
-        let (others, released) = self.without(&model.effects, model.x(), last)?;
-        let mut best: Option<Model> = None;
-        for instance in self.open(&model.effects).iter().filter(|i| kinds.contains(&i.kind)) {
-            let Some(mut x) = self.instead(&others, &released, instance)? else { continue };
-            let effects = [&others[..], std::slice::from_ref(instance)].concat();
-            self.unknowns(&effects).clip(&mut x);
-            let found = self.settle(&effects, &x, anchor, None, STEPS)?;
-            if best.as_ref().is_none_or(|b| found.cost() < b.cost()) {
-                best = Some(found);
-            }
-        }
-        Ok(best)
+        self.stand_in((model, last), &kinds, anchor)
     }
 }
 

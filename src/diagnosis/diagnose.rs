@@ -2,6 +2,7 @@
 
 use super::anchor::Anchor;
 use super::centre::centre;
+use super::closely::Nearby;
 use super::hygiene::suspicion;
 use super::needless::{PAYS, least_gain};
 use super::outcome::{Diagnosis, Thresholds, Verdict};
@@ -125,6 +126,19 @@ fn diagnose_rest(
         before = excess;
     }
     let mut path = path.ok_or_else(|| Error::new("nothing was recalibrated"))?;
+    if !path.recalibrated.is_clean() && !path.recalibrated.is_far() {
+        // What replays a tolerance away could not tell is not to be credited to an effect that is looked at closely.
+        let here = (path.recalibrated.clone(), path.anchor.clone());
+        let found = scene.clone().settled_closely(here, (replay, Nearby::Rough), settings, progress)?.0;
+        scene.look_around(replay, settings, (&[], found.x()), progress)?;
+        let found = Search::new(&scene, settings, Some(replay))?.recalibrated(&plain, found.x(), progress)?;
+        progress.note(&format!(
+            "recalibrated closely: cost {:.0} before, {:.0} now",
+            path.recalibrated.cost(),
+            found.recalibrated.cost()
+        ));
+        path = found;
+    }
     progress.start("diagnosis", settings.max_effects as u64);
     // Where the recalibrated model leaves no more than noise and is close to what is declared, there is nothing to explain.
     let is_open = path.recalibrated.excess() > 0.0 || path.recalibrated.is_strained();
@@ -316,6 +330,7 @@ impl Search<'_> {
             alternatives: Vec::new(),
             confirmed: None,
             rival: None,
+            stand_ins: Vec::new(),
         })
     }
 }

@@ -1,6 +1,10 @@
 //! A made-up array for tests: a uniform column under the errors of its sensors.
 
+use super::anchor::Anchor;
+use super::path::Path;
 use super::problem::{Event, Motions, NoiseSpectrum, Problem, Replay};
+use super::round::Fitted;
+use super::search::Model;
 use crate::column::{Layer, Profile};
 use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
 use crate::error::Result;
@@ -111,6 +115,33 @@ impl Replay for Uniform<'_> {
             Some(self.0.array.depths_m.iter().map(at).collect())
         };
         Ok(self.0.events.iter().map(passed).collect())
+    }
+}
+
+/// A path that ends with `corrected` and has recalibrated nothing.
+pub(super) fn path(corrected: Model, anchor: Anchor) -> Path {
+    let accepted = corrected.effects.iter().map(|instance| Fitted {
+        instance: instance.clone(),
+        model: corrected.clone(),
+        gain: 1000.0,
+        validation_gain: 100.0,
+        is_confirmed: true,
+        against: corrected.costs(),
+        plain: None,
+    });
+    Path {
+        declared: corrected.clone(),
+        recalibrated: corrected.clone(),
+        accepted: accepted.collect(),
+        corrected,
+        candidates: Vec::new(),
+        first: Vec::new(),
+        anchor,
+        plain: Vec::new(),
+        alternatives: Vec::new(),
+        confirmed: None,
+        rival: None,
+        stand_ins: Vec::new(),
     }
 }
 

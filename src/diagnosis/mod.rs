@@ -61,6 +61,7 @@ mod settings;
 mod settling;
 mod simulated;
 mod spectra;
+mod stand_ins;
 mod standing;
 mod surroundings;
 mod tilt;

@@ -1,6 +1,7 @@
 //! Replays around a model with its effects, and whether it needs them all.
 
 use super::anchor::Anchor;
+use super::closely::Nearby;
 use super::diagnose::STEPS;
 use super::outcome::Thresholds;
 use super::path::Path;
@@ -46,11 +47,30 @@ impl Scene<'_> {
             let (now, anchor) = self.settled_around(place, (replay, MAX_ANCHORS), settings, progress)?;
             progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), now.cost()));
             looks += 1;
-            if looks == POLISHES || now.is_clean() || now.excess() > PAYS * before.excess() {
+            if now.is_clean() {
                 return Ok((now, anchor));
+            }
+            if looks == POLISHES || now.excess() > PAYS * before.excess() {
+                return self.walked((now, anchor), replay, settings, progress);
             }
             model = now;
         }
+    }
+
+    /// The `model` walked on along the valley in which it is, with replays nearer than tolerances; then it is looked at as before.
+    fn walked(
+        &mut self,
+        (model, anchor): (Model, Anchor),
+        replay: &dyn Replay,
+        settings: &DiagnoseSettings,
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let here = (model.clone(), anchor.clone());
+        let found = self.clone().settled_closely(here, (replay, Nearby::Rough), settings, progress)?.0;
+        if found.excess() > PAYS * model.excess() {
+            return Ok((model, anchor));
+        }
+        self.settled_around((&found.effects, found.x()), (replay, MAX_ANCHORS), settings, progress)
     }
 }
 
@@ -185,7 +205,8 @@ impl Path {
             if is_twice && own.class() == Class::Soil {
                 let around_both = scene.clone();
                 let alone = Search::new(scene, settings, Some(replay))?.fitted_without(self, index)?;
-                let without = scene.polished(alone, replay, settings, progress)?;
+                let alone = scene.polished(alone, replay, settings, progress)?;
+                let without = scene.moved((alone, None), replay, settings, progress)?;
                 if self.fall(&without.0) < DETAIL * self.fall(&self.recalibrated) {
                     self.take_out(index, without, progress);
                     continue;

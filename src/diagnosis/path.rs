@@ -1,6 +1,7 @@
 //! What a diagnosis goes through, from the declared model to the corrected one.
 
 use super::anchor::Anchor;
+use super::closely::Nearby;
 use super::outcome::{Candidate, Thresholds};
 use super::problem::Replay;
 use super::responses::Scene;
@@ -38,6 +39,8 @@ pub(super) struct Path {
     pub confirmed: Option<Anchor>,
     /// The same effect at another place, where that was confirmed too.
     pub rival: Option<Model>,
+    /// Kinds that say the same in place of an effect of the corrected model.
+    pub stand_ins: Vec<String>,
 }
 
 impl Path {
@@ -118,9 +121,12 @@ impl Path {
     ) -> Result<()> {
         let around = scene.clone();
         let here = (self.corrected.clone(), self.anchor.clone());
-        (self.corrected, self.anchor) = scene.settled_closely(here, replay, settings, progress)?;
+        (self.corrected, self.anchor) = scene.settled_closely(here, (replay, Nearby::Fine), settings, progress)?;
         let n_accepted = self.accepted.len();
         Search::new(scene, settings, Some(replay))?.drop_doubtful(self, thresholds, progress)?;
+        if self.try_stand_ins(scene, (replay, settings), progress)? {
+            Search::new(scene, settings, Some(replay))?.drop_doubtful(self, thresholds, progress)?;
+        }
         if self.accepted.len() == n_accepted {
             return Ok(());
         }

@@ -43,7 +43,7 @@ impl Scene<'_> {
             let elsewhere = match rival.take() {
                 Some(rival) => Some((rival.effects.clone(), rival.x().to_vec())),
                 None if model.is_clean() => None,
-                None => Search::new(self, settings, Some(replay))?.elsewhere(&model)?,
+                None => self.elsewhere(&model, replay, settings)?,
             };
             let Some((effects, x)) = elsewhere else { break };
             let mut there = self.clone();
@@ -55,6 +55,37 @@ impl Scene<'_> {
             }
         }
         Ok((model, anchor))
+    }
+
+    /// The effects and unknowns of `model` with its last effect at another place nearby, at which rough replays around that leave clearly
+    /// less; `None` where there is none.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    fn elsewhere(
+        &self,
+        model: &Model,
+        replay: &dyn Replay,
+        settings: &DiagnoseSettings,
+    ) -> Result<Option<(Vec<Instance>, Vec<f64>)>> {
+        let roughly = Roughly(replay);
+        let search = Search::new(self, settings, Some(&roughly))?;
+        let at = |effects: &[Instance], x: &[f64]| -> Result<Model> {
+            search.settle(effects, x, &search.anchored(effects, x, None)?, None, STEPS)
+        };
+        let here = at(&model.effects, model.x())?;
+        let mut best = (here.cost() - worthwhile(&here, settings), None);
+        for Place { effects, starts } in search.places(model)? {
+            let tried = starts.iter().filter_map(|x| at(&effects, x).ok());
+            let Some(start) = tried.min_by(|a, b| a.cost().total_cmp(&b.cost())) else { continue };
+            let place = (&effects[..], start.x());
+            if let Ok((found, _)) = self.clone().settled_around(place, (&roughly, REPLAYS), settings, &Quiet)
+                && found.cost() < best.0
+            {
+                best = (found.cost(), Some((effects, found.x().to_vec())));
+            }
+        }
+        Ok(best.1)
     }
 }
 
@@ -113,33 +144,5 @@ impl Search<'_> {
             places.push(Place { effects, starts });
         }
         Ok(places)
-    }
-
-    /// The effects and unknowns of `model` with its last effect at another place nearby, at which rough replays leave clearly less;
-    /// `None` where there is none.
-    ///
-    /// # Errors
-    /// When a replay is impossible.
-    fn elsewhere(&self, model: &Model) -> Result<Option<(Vec<Instance>, Vec<f64>)>> {
-        let Some(replay) = self.replay else { return Ok(None) };
-        let roughly = Roughly(replay);
-        let search = Search::new(self.scene, self.settings, Some(&roughly))?;
-        let at = |effects: &[Instance], x: &[f64]| -> Result<(Model, Anchor)> {
-            let anchor = search.anchored(effects, x, None)?;
-            Ok((search.settle(effects, x, &anchor, None, STEPS)?, anchor))
-        };
-        let here = at(&model.effects, model.x())?.0;
-        let mut best = (here.cost() - worthwhile(&here, self.settings), None);
-        for Place { effects, starts } in self.places(model)? {
-            let tried = starts.iter().filter_map(|x| at(&effects, x).ok());
-            let Some((start, anchor)) = tried.min_by(|a, b| a.0.cost().total_cmp(&b.0.cost())) else { continue };
-            let found = search.replayed_until_settled(start, (None, &anchor), (REPLAYS, f64::INFINITY), &Quiet);
-            if let Ok((found, _)) = found
-                && found.cost() < best.0
-            {
-                best = (found.cost(), Some((effects, found.x().to_vec())));
-            }
-        }
-        Ok(best.1)
     }
 }

@@ -16,6 +16,8 @@ use std::collections::BTreeMap;
 
 /// Edges of the bands of the remaining structure, Hz.
 const EDGES_HZ: [f64; 8] = [0.0, 0.5, 1.0, 2.0, 3.5, 5.0, 7.0, 100.0];
+/// Power of what is left, over noise's, above which it is not explained however much there was.
+const KNOWN_LEVEL: f64 = 2.0;
 /// Normal quantile of a two-sided 95 % interval.
 const TWO_SIDED: f64 = 1.96;
 
@@ -118,13 +120,19 @@ pub(super) fn excess(model: &Model) -> Excess {
     }
 }
 
-/// Kinds whose gain in the first round came within `ambiguity` of the best.
+/// Kinds whose gain in the first round came within `ambiguity` of the best, and those that say the same in the answer.
 fn ambiguity(search: &Search<'_>, path: &Path) -> Vec<String> {
     let Some(best) = path.first.first() else { return Vec::new() };
     let mut kinds: Vec<String> = Vec::new();
     for f in path.first.iter().filter(|f| best.gain - f.gain < search.settings.ambiguity && f.gain > 0.0) {
         if !kinds.iter().any(|k| k == f.instance.kind) {
             kinds.push(f.instance.kind.to_string());
+        }
+    }
+    let named = path.accepted.iter().map(|f| f.instance.kind).filter(|_| !path.stand_ins.is_empty());
+    for kind in named.chain(path.stand_ins.iter().map(String::as_str)) {
+        if !kinds.iter().any(|k| k == kind) {
+            kinds.push(kind.to_string());
         }
     }
     kinds
@@ -151,9 +159,10 @@ fn verdict(
         ));
         return Verdict::Unknown;
     };
-    if share < settings.unknown_share || (remains && share < settings.known_share) {
+    let level = path.corrected.level();
+    if share < settings.unknown_share || (remains && (share < settings.known_share || level > KNOWN_LEVEL)) {
         notes.push(format!(
-            "the named effects explain {:.0} % of the excess; what remains has no name in the catalogue",
+            "the named effects explain {:.0} % of the excess; what remains has no name in the catalogue and {level:.1} times the power of noise",
             100.0 * share
         ));
         return Verdict::Unknown;
@@ -300,4 +309,46 @@ fn remainder(search: &Search<'_>, model: &Model) -> Remainder {
     let sensor_band =
         array.outputs.iter().cloned().zip(sums.into_iter().map(|s| s.into_iter().map(level).collect())).collect();
     Remainder { edges_hz: EDGES_HZ.to_vec(), sensor_band, event }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{Uniform, judged, path};
+    use super::super::responses::Scene;
+    use super::super::settings::DiagnoseSettings;
+    use super::*;
+
+    #[test]
+    fn what_leaves_far_more_than_noise_is_not_known_however_much_it_explains() {
+        let (problem, settings) = (judged(""), DiagnoseSettings::default());
+        let scene = Scene::new(&problem, &settings).unwrap();
+        let replay = Uniform(&problem);
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let effects = [search.instances.iter().find(|i| i.kind == "layer_velocity").unwrap().clone()];
+        let velocity = search.nuisances.iter().rposition(|n| n.instance.kind == "layer_velocity").unwrap();
+        let damping = search.nuisances.iter().position(|n| n.instance.kind == "small_strain_damping").unwrap();
+        let verdict_of = |ln_velocity: f64, thresholds: &Thresholds| {
+            let mut x = vec![0.0; search.nuisances.len() + 1];
+            x[velocity] = ln_velocity / search.nuisances[velocity].deviation;
+            x[damping] = 1.5f64.ln() / search.nuisances[damping].deviation;
+            let anchor = search.anchored(&effects, &x, None).unwrap();
+            let model = search.settle(&effects, &x, &anchor, None, 0).unwrap();
+            let (level, rest) = (model.level(), excess(&model));
+            let path = path(model, anchor);
+            (verdict(&search, &path, thresholds, Some(0.99), rest, &[], &mut Vec::new()), level)
+        };
+        // The truth has 150 m/s and a damping ratio of 0.03, declared are 200 and 0.02.
+        let thresholds = Thresholds {
+            gain: 5.0,
+            validation_gain: 5.0,
+            excess: -100.0,
+            deviations: 3.0,
+            twins: 0,
+            null_gains: Vec::new(),
+        };
+        let (near, level) = verdict_of(0.75f64.ln(), &thresholds);
+        assert!(near == Verdict::Known && level < KNOWN_LEVEL, "{near:?} {level}");
+        let (far, level) = verdict_of(0.7f64.ln(), &thresholds);
+        assert!(far == Verdict::Unknown && level > KNOWN_LEVEL, "{far:?} {level}");
+    }
 }
