@@ -2,12 +2,10 @@
 
 use crate::support::{Loud, Noted, Replays, Truth, array, problem, settings, table};
 use flare_pipe::diagnosis::{
-    self, Diagnosis, Disturbance, Scene, Thresholds, Verdict, diagnose, drawn, nuisance_tables, nuisances, power,
+    self, Diagnosis, Disturbance, Scene, Thresholds, Verdict, diagnose, drawn, nuisance_tables, nuisances,
 };
 use flare_pipe::effects;
-use flare_pipe::numerics::random;
 use flare_pipe::progress::Quiet;
-use rand::RngExt;
 use std::sync::Mutex;
 
 fn thresholds() -> Thresholds {
@@ -41,57 +39,6 @@ pub fn line(found: &Diagnosis) -> String {
     )
 }
 
-/// One twin with a random place and size of `kind` (`null`: none) and nuisances of its own.
-fn twin(kind: &str, seed: u64, is_fast: bool) -> (String, Diagnosis, f64) {
-    let array = array();
-    let start = std::time::Instant::now();
-    let truth = Truth {
-        elements: if is_fast { 60 } else { 120 },
-        max_step_s: if is_fast { 0.005 } else { 0.0025 },
-        seed,
-        events: 8,
-    };
-    let mut random = random::stream(seed, kind);
-    let places: Vec<_> = effects::instances(&array).into_iter().filter(|i| i.kind == kind).collect();
-    let mut tables = Vec::new();
-    let mut what = kind.to_string();
-    if !places.is_empty() {
-        let place = &places[random.random_range(0..places.len())];
-        tables.push(place.draw(&mut random));
-        what = toml::to_string(&tables[0]).unwrap().replace('\n', " ");
-    }
-    let empty = problem(&array, &[], Truth { events: 4, ..truth });
-    let nuisances = nuisances(&empty).unwrap();
-    let mut all = nuisance_tables(&nuisances, &drawn(&nuisances, seed));
-    if std::env::var("TWIN_EXACT").is_ok() {
-        all.clear();
-    }
-    all.extend(tables);
-    let problem = problem(&array, &all, truth);
-    let found = diagnose(&problem, &Replays(&problem), &settings(), &thresholds(), &Loud).unwrap();
-    (what, found, start.elapsed().as_secs_f64())
-}
-
-#[test]
-#[ignore = "development: TWIN_KINDS=a,b TWIN_SEEDS=1-3"]
-fn matrix() {
-    let kinds = std::env::var("TWIN_KINDS").unwrap_or_else(|_| "null".into());
-    let seeds = std::env::var("TWIN_SEEDS").unwrap_or_else(|_| "1-2".into());
-    let (a, b) = seeds.split_once('-').unwrap();
-    for kind in kinds.split(',') {
-        for seed in a.parse::<u64>().unwrap()..=b.parse().unwrap() {
-            let (what, found, seconds) = twin(kind, seed, std::env::var("TWIN_SAME").is_ok());
-            println!("#{seed} {what}\n   {seconds:.0}s {}", line(&found));
-            for c in found.candidates.iter().filter(|c| c.round == 1).take(4) {
-                println!(
-                    "      {} {} {:.0} ({:.0}) {:.2} {}",
-                    c.kind, c.target, c.gain, c.validation_gain, c.explained_share, c.is_confirmed
-                );
-            }
-        }
-    }
-}
-
 #[test]
 fn a_turned_sensor_on_a_nonlinear_site_is_named_and_what_is_said_was_replayed() {
     let array = array();
@@ -107,30 +54,6 @@ fn a_turned_sensor_on_a_nonlinear_site_is_named_and_what_is_said_was_replayed() 
     // What stands whatever the profile comes before it.
     let asked = noted.asked.into_inner().unwrap();
     assert!(asked.iter().any(|replayed| replayed.ends_with(&said)), "{said:?}");
-}
-
-#[test]
-#[ignore = "development: thresholds of the small array and fresh nulls against them"]
-fn nulls() {
-    let array = array();
-    let truth = Truth { elements: 60, max_step_s: 0.005, seed: 77, events: 8 };
-    let problem = problem(&array, &[], truth);
-    let start = std::time::Instant::now();
-    let limits = diagnosis::thresholds(&problem, None, &settings(), &Quiet).unwrap();
-    println!("{limits:?} in {:.0} s", start.elapsed().as_secs_f64());
-    let start = std::time::Instant::now();
-    let power = power(&problem, &settings(), Some(&limits)).unwrap();
-    println!("power in {:.0} s", start.elapsed().as_secs_f64());
-    for e in power.effects.iter().take(400) {
-        println!(
-            "  {} {} typical {:?} {} score {:.0} of {:.0}, from {:?}",
-            e.kind, e.target, e.typical, e.unit, e.expected_score, e.needed_score, e.detectable
-        );
-    }
-    for c in power.confusions.iter().take(30) {
-        println!("  {} ~ {} {:.2}", c.one, c.other, c.collinearity);
-    }
-    println!("{:?}", power.classes);
 }
 
 #[test]
