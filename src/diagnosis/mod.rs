@@ -9,10 +9,10 @@
 //! so is what a yielding column makes of that noise. Fits see training events alone; validation events are judged by
 //! what these let expect of them, the uncertainty of the fit included. Declared tolerances are nuisances of every test:
 //! only what they cannot explain may be called an effect, and the alarm thresholds are those of null twins of the same
-//! array. The answer is looked at closely, with derivatives from replays right beside it, and the verdict is on what its last
-//! replay leaves. Of models that leave no more than noise the one
-//! closest to what is declared stands, and where that still is farther off than chance puts it, the search goes on for
-//! what its tolerances have made up for.
+//! array. The way along a valley between an effect and tolerances is shown by derivatives from replays right beside the model: so are
+//! the recalibrated model and the answer settled, and the verdict is on what the last replay leaves. What effects of the answer are
+//! confused with is tried in their place. Of models that leave no more than noise the one closest to what is declared stands, and
+//! where that still is farther off than chance puts it, the search goes on for what its tolerances have made up for.
 
 mod anchor;
 mod at_its_end;
