@@ -47,11 +47,14 @@ impl Scene<'_> {
             let (now, anchor) = self.settled_around(place, (replay, MAX_ANCHORS), settings, progress)?;
             progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), now.cost()));
             looks += 1;
-            if now.is_clean() {
-                return Ok((now, anchor));
-            }
-            if looks == POLISHES || now.excess() > PAYS * before.excess() {
-                return self.walked((now, anchor), replay, settings, progress);
+            if looks == POLISHES || now.is_clean() || now.excess() > PAYS * before.excess() {
+                // From far off, what comes next leads farther than this valley.
+                let is_walked = !now.is_clean() && !now.is_far();
+                return if is_walked {
+                    self.walked((now, anchor), replay, settings, progress)
+                } else {
+                    Ok((now, anchor))
+                };
             }
             model = now;
         }
@@ -205,7 +208,10 @@ impl Path {
             if is_twice && own.class() == Class::Soil {
                 let around_both = scene.clone();
                 let alone = Search::new(scene, settings, Some(replay))?.fitted_without(self, index)?;
-                let alone = scene.polished(alone, replay, settings, progress)?;
+                let mut alone = scene.polished(alone, replay, settings, progress)?;
+                if alone.0.is_far() {
+                    alone = scene.walked(alone, replay, settings, progress)?;
+                }
                 let without = scene.moved((alone, None), replay, settings, progress)?;
                 if self.fall(&without.0) < DETAIL * self.fall(&self.recalibrated) {
                     self.take_out(index, without, progress);

@@ -112,7 +112,7 @@ struct Place {
 }
 
 impl Search<'_> {
-    /// The places next to that of the last effect of `model`, and its own.
+    /// The places next to that of the last effect of `model`.
     fn places(&self, model: &Model) -> Result<Vec<Place>> {
         let Some((last, others)) = model.effects.split_last() else { return Ok(Vec::new()) };
         let alike: Vec<&Instance> = self.instances.iter().filter(|i| i.is_alike(last)).collect();
@@ -123,7 +123,7 @@ impl Search<'_> {
         let strength = model.x().len() - last.free.len();
         let mut places = Vec::new();
         for place in &alike[here.saturating_sub(REACH)..(here + REACH + 1).min(alike.len())] {
-            if others.contains(place) {
+            if model.effects.contains(place) {
                 continue;
             }
             let scaled = STRENGTHS.iter().map(|share| -> Result<Vec<f64>> {
