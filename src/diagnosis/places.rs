@@ -94,9 +94,11 @@ fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
     settings.ambiguity.max(WORTHWHILE * model.excess())
 }
 
-/// Whether `one` leaves clearly less than `other`, or is plainer.
+/// Whether `one` leaves clearly less than `other`, or is plainer. What leaves less only because declared values went farther off than
+/// chance puts them has found another name for what is wrong, not a better one.
 pub(super) fn is_preferred(one: &Model, other: &Model, settings: &DiagnoseSettings) -> bool {
-    one.cost() < other.cost() - worthwhile(other, settings) || is_plainer(one, other)
+    let is_bought = one.is_strained() && !other.is_strained();
+    is_plainer(one, other) || (!is_bought && one.cost() < other.cost() - worthwhile(other, settings))
 }
 
 /// Whether neither leaves more than noise, and the nuisances of `one` are clearly closer to what is declared. Costs of such models

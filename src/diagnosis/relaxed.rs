@@ -49,16 +49,31 @@ impl Scene<'_> {
     /// When a replay is impossible.
     pub(super) fn relaxed(
         &mut self,
-        (mut model, mut anchor): (Model, Anchor),
+        here: (Model, Anchor),
         replay: &dyn Replay,
         settings: &DiagnoseSettings,
+        progress: &dyn Progress,
+    ) -> Result<(Model, Anchor)> {
+        let shared = Search::new(self, settings, Some(replay))?.shared_with(&here.0.effects, &here.0, FAR);
+        let held = shared.into_iter().map(|i| vec![i]).chain([Vec::new()]).collect();
+        self.relaxed_holding(held, here, (replay, settings), progress)
+    }
+
+    /// The same, each of these lists of tolerances being `held` in turn.
+    ///
+    /// # Errors
+    /// When a replay is impossible.
+    pub(super) fn relaxed_holding(
+        &mut self,
+        held: Vec<Vec<usize>>,
+        (mut model, mut anchor): (Model, Anchor),
+        (replay, settings): (&dyn Replay, &DiagnoseSettings),
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
         if !model.is_clean() || model.strain() <= 0.0 {
             return Ok((model, anchor));
         }
-        let shared = Search::new(self, settings, Some(replay))?.shared_with(&model.effects, &model, FAR);
-        for held in shared.into_iter().map(|i| vec![i]).chain([Vec::new()]) {
+        for held in held {
             let mut there = self.clone();
             let search = Search::new(&there, settings, Some(replay))?;
             let mut found = search.released(&model.effects, model.x(), (&anchor, &held), progress)?;

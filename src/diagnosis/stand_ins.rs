@@ -43,7 +43,7 @@ impl Path {
                 let mut found = there.settled_around(place, (replay, MAX_ANCHORS), settings, progress)?;
                 if found.0.cost() < NEAR * self.corrected.cost() {
                     found = there.settled_closely(found, (replay, Nearby::Fine), settings, progress)?;
-                    found = there.relaxed(found, replay, settings, progress)?;
+                    found = there.relaxed_holding(vec![Vec::new()], found, (replay, settings), progress)?;
                 }
                 let (cost, so_far) = (found.0.cost(), self.corrected.cost());
                 progress.note(&format!("{kind} in place of {own}: cost {cost:.0}, {so_far:.0} so far"));
@@ -53,7 +53,7 @@ impl Path {
                     is_changed = true;
                     break;
                 }
-                if cost < so_far + settings.ambiguity {
+                if !is_preferred(&self.corrected, &found.0, settings) {
                     self.stand_ins.push(kind.to_string());
                 }
             }
