@@ -94,10 +94,10 @@ fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
     settings.ambiguity.max(WORTHWHILE * model.excess())
 }
 
-/// Whether `one` leaves clearly less than `other`, or is plainer. What leaves less only because declared values went farther off than
-/// chance puts them has found another name for what is wrong, not a better one.
+/// Whether `one` leaves clearly less than `other`, or is plainer. Where `other` leaves no more than noise, what leaves less because
+/// declared values went farther off than chance puts them has found another name for what is wrong, not a better one.
 pub(super) fn is_preferred(one: &Model, other: &Model, settings: &DiagnoseSettings) -> bool {
-    let is_bought = one.is_strained() && !other.is_strained();
+    let is_bought = one.is_strained() && other.is_clean();
     is_plainer(one, other) || (!is_bought && one.cost() < other.cost() - worthwhile(other, settings))
 }
 

@@ -53,7 +53,7 @@ impl Path {
                     is_changed = true;
                     break;
                 }
-                if !is_preferred(&self.corrected, &found.0, settings) {
+                if !found.0.is_strained() && !is_preferred(&self.corrected, &found.0, settings) {
                     self.stand_ins.push(kind.to_string());
                 }
             }
