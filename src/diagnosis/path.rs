@@ -124,10 +124,11 @@ impl Path {
         (self.corrected, self.anchor) = scene.settled_closely(here, (replay, Nearby::Fine), settings, progress)?;
         let n_accepted = self.accepted.len();
         Search::new(scene, settings, Some(replay))?.drop_doubtful(self, thresholds, progress)?;
-        if self.try_stand_ins(scene, (replay, settings), progress)? {
+        let is_replaced = self.try_stand_ins(scene, (replay, settings), progress)?;
+        if is_replaced {
             Search::new(scene, settings, Some(replay))?.drop_doubtful(self, thresholds, progress)?;
         }
-        if self.accepted.len() == n_accepted {
+        if !is_replaced && self.accepted.len() == n_accepted {
             return Ok(());
         }
         if self.accepted.is_empty() && self.corrected.cost() < self.recalibrated.cost() {

@@ -73,9 +73,13 @@ impl Scene<'_> {
         let at = |effects: &[Instance], x: &[f64]| -> Result<Model> {
             search.settle(effects, x, &search.anchored(effects, x, None)?, None, STEPS)
         };
+        let places = search.places(model)?;
+        if places.is_empty() {
+            return Ok(None);
+        }
         let here = at(&model.effects, model.x())?;
         let mut best = (here.cost() - worthwhile(&here, settings), None);
-        for Place { effects, starts } in search.places(model)? {
+        for Place { effects, starts } in places {
             let tried = starts.iter().filter_map(|x| at(&effects, x).ok());
             let Some(start) = tried.min_by(|a, b| a.cost().total_cmp(&b.cost())) else { continue };
             let place = (&effects[..], start.x());
