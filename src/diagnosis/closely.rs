@@ -3,7 +3,7 @@
 use super::anchor::Anchor;
 use super::axes::{Axis, Node, has_axis};
 use super::neighbours::{Replayed, Soil};
-use super::problem::{Motions, Replay, Roughly};
+use super::problem::{Motions, Replay};
 use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
@@ -24,15 +24,6 @@ const STEPS: usize = 12;
 /// Share of the cost that a look must take off for another to follow.
 const PAYS: f64 = 0.01;
 
-/// Replays from which derivatives are taken.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Nearby {
-    /// As those that are compared with records: for what is said.
-    Fine,
-    /// Rough ones: for the way there.
-    Rough,
-}
-
 impl Scene<'_> {
     /// The `model` settled with derivatives right where it is, as long as that pays, and as its best replay has it; the scene looks around
     /// there.
@@ -47,23 +38,15 @@ impl Scene<'_> {
     pub(super) fn settled_closely(
         &mut self,
         (mut model, mut anchor): (Model, Anchor),
-        (replay, nearby): (&dyn Replay, Nearby),
+        replay: &dyn Replay,
         settings: &DiagnoseSettings,
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
         for _ in 0..LOOKS {
             let steps = Search::new(self, settings, Some(replay))?.steps(&model, &anchor);
             let place = (&model.effects[..], model.x());
-            let around = match nearby {
-                Nearby::Fine => {
-                    let motions = self.look_closely(replay, (place.0, place.1, &steps), progress)?;
-                    Search::new(self, settings, Some(replay))?.anchor(place, &motions, None)?.0
-                }
-                Nearby::Rough => {
-                    self.look_closely(&Roughly(replay), (place.0, place.1, &steps), progress)?;
-                    Search::new(self, settings, Some(replay))?.anchored(place.0, place.1, None)?
-                }
-            };
+            let motions = self.look_closely(replay, (place.0, place.1, &steps), progress)?;
+            let around = Search::new(self, settings, Some(replay))?.anchor(place, &motions, None)?.0;
             let search = Search::new(self, settings, Some(replay))?;
             let here = search.settle(&model.effects, model.x(), &around, None, 0)?;
             let wanted = search.settle(&model.effects, model.x(), &around, Some(&here), STEPS)?;

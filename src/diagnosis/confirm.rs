@@ -16,6 +16,8 @@ const CLOSE_SHARE: f64 = 0.7;
 const SAME_SHARE: f64 = 0.9;
 /// Most rough replays of every effect then, of the better half, and of the better half of these.
 const ROUGHLY: [usize; 3] = [1, 2, 3];
+/// Share of the best fall of the cost below which the last of them are not worth it.
+const PROMISING: f64 = 0.3;
 /// Steps of a fit before them.
 const ROUGH_STEPS: usize = 6;
 /// Most replays of an effect to be confirmed.
@@ -87,6 +89,10 @@ impl Search<'_> {
                 }
                 tries.sort_by(|a, b| a.1.cost().total_cmp(&b.1.cost()));
                 tries.truncate(tries.len().div_ceil(2));
+                let best = tries.first().map_or(0.0, |best| base.cost() - best.1.cost());
+                if round > 0 && best > 0.0 {
+                    tries.retain(|other| base.cost() - other.1.cost() > PROMISING * best);
+                }
             }
             for (i, model, anchor) in tries {
                 fitted[i].model = search.settle(&model.effects, model.x(), &anchor, Some(&model), ROUGH_STEPS)?;

@@ -2,9 +2,8 @@
 
 use super::anchor::Anchor;
 use super::centre::centre;
-use super::closely::Nearby;
 use super::hygiene::suspicion;
-use super::needless::{PAYS, least_gain};
+use super::needless::least_gain;
 use super::outcome::{Diagnosis, Thresholds, Verdict};
 use super::path::Path;
 use super::problem::{Problem, Replay};
@@ -31,6 +30,8 @@ const SURPRISE: f64 = 1.0;
 /// Share of the excess over noise that a look must leave at most for another to be worth it: more is wrong than tolerances. Beyond
 /// the rule it must be on its way to noise.
 const WORTHWHILE: [f64; 2] = [0.7, 0.3];
+/// Share of the cost of the recalibrated model below which another is a better base.
+const BETTER: f64 = 0.9;
 /// Most tries of a round.
 const MAX_TRIES: usize = 3;
 
@@ -129,7 +130,7 @@ fn diagnose_rest(
     if !path.recalibrated.is_clean() && !path.recalibrated.is_far() {
         // What replays a tolerance away could not tell is not to be credited to an effect that is looked at closely.
         let here = (path.recalibrated.clone(), path.anchor.clone());
-        let found = scene.clone().settled_closely(here, (replay, Nearby::Rough), settings, progress)?.0;
+        let found = scene.clone().settled_closely(here, replay, settings, progress)?.0;
         scene.look_around(replay, settings, (&[], found.x()), progress)?;
         let found = Search::new(&scene, settings, Some(replay))?.recalibrated(&plain, found.x(), progress)?;
         progress.note(&format!(
@@ -177,7 +178,7 @@ fn diagnose_rest(
         let is_left =
             path.corrected.is_strained() || path.corrected.surprise().into_iter().any(|s| s > thresholds.excess);
         // The search for an effect that was none after all may have led to better tolerances, from which others look different.
-        let has_better_base = path.accepted.is_empty() && path.corrected.cost() < PAYS * base;
+        let has_better_base = path.accepted.is_empty() && path.corrected.cost() < BETTER * base;
         if has_better_base {
             path.recalibrated = path.corrected.clone();
         }

@@ -1,10 +1,10 @@
 //! Replays around a model with its effects, and whether it needs them all.
 
 use super::anchor::Anchor;
-use super::closely::Nearby;
 use super::diagnose::STEPS;
 use super::outcome::Thresholds;
 use super::path::Path;
+use super::places::worthwhile;
 use super::problem::Replay;
 use super::responses::Scene;
 use super::round::parameters;
@@ -19,8 +19,6 @@ use crate::progress::Progress;
 /// Share of the gain of an effect below which nothing else is an effect of its own: described to a tenth of what it does to the
 /// motions, an effect leaves a hundredth of what it gained.
 const DETAIL: f64 = 0.01;
-/// Share of the excess over noise that a look must leave at most for another to follow.
-pub(super) const PAYS: f64 = 0.9;
 /// Share of the typical size of an effect below which it is in doubt.
 const SMALL: f64 = 0.1;
 /// Most replays of a model without one of its effects.
@@ -47,14 +45,17 @@ impl Scene<'_> {
             let (now, anchor) = self.settled_around(place, (replay, MAX_ANCHORS), settings, progress)?;
             progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), now.cost()));
             looks += 1;
-            if looks == POLISHES || now.is_clean() || now.excess() > PAYS * before.excess() {
-                // From far off, what comes next leads farther than this valley.
-                let is_walked = !now.is_clean() && !now.is_far();
-                return if is_walked {
-                    self.walked((now, anchor), replay, settings, progress)
-                } else {
+            if !now.is_far() {
+                let is_there = now.is_clean();
+                return if is_there {
                     Ok((now, anchor))
+                } else {
+                    self.walked((now, anchor), replay, settings, progress)
                 };
+            }
+            // From far off, what comes next leads farther than this valley.
+            if looks == POLISHES || now.cost() > before.cost() - worthwhile(&before, settings) {
+                return Ok((now, anchor));
             }
             model = now;
         }
@@ -69,8 +70,8 @@ impl Scene<'_> {
         progress: &dyn Progress,
     ) -> Result<(Model, Anchor)> {
         let here = (model.clone(), anchor.clone());
-        let found = self.clone().settled_closely(here, (replay, Nearby::Rough), settings, progress)?.0;
-        if found.excess() > PAYS * model.excess() {
+        let found = self.clone().settled_closely(here, replay, settings, progress)?.0;
+        if found.cost() > model.cost() - worthwhile(&model, settings) {
             return Ok((model, anchor));
         }
         self.settled_around((&found.effects, found.x()), (replay, MAX_ANCHORS), settings, progress)

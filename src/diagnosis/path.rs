@@ -1,7 +1,6 @@
 //! What a diagnosis goes through, from the declared model to the corrected one.
 
 use super::anchor::Anchor;
-use super::closely::Nearby;
 use super::outcome::{Candidate, Thresholds};
 use super::problem::Replay;
 use super::responses::Scene;
@@ -121,7 +120,7 @@ impl Path {
     ) -> Result<()> {
         let around = scene.clone();
         let here = (self.corrected.clone(), self.anchor.clone());
-        (self.corrected, self.anchor) = scene.settled_closely(here, (replay, Nearby::Fine), settings, progress)?;
+        (self.corrected, self.anchor) = scene.settled_closely(here, replay, settings, progress)?;
         let n_accepted = self.accepted.len();
         Search::new(scene, settings, Some(replay))?.drop_doubtful(self, thresholds, progress)?;
         let is_replaced = self.try_stand_ins(scene, (replay, settings), progress)?;

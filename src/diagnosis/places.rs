@@ -22,7 +22,7 @@ const STEPS: usize = 4;
 const REPLAYS: usize = 6;
 /// Prior cost of nuisances by which a model is plainer than another.
 const PLAINER: f64 = 5.0;
-/// Share of the excess over noise that another place must take away.
+/// Share of the excess over noise that another model must take away.
 const WORTHWHILE: f64 = 0.1;
 
 impl Scene<'_> {
@@ -93,16 +93,20 @@ impl Scene<'_> {
     }
 }
 
-/// What another place must cost less than the `model`.
-fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
+/// What another must cost less than the `model` to be worth going there.
+pub(super) fn worthwhile(model: &Model, settings: &DiagnoseSettings) -> f64 {
     settings.ambiguity.max(WORTHWHILE * model.excess())
 }
 
-/// Whether `one` leaves clearly less than `other`, or is plainer. Where `other` leaves no more than noise, what leaves less because
-/// declared values went farther off than chance puts them has found another name for what is wrong, not a better one.
+/// Whether `one` leaves clearly less than `other`, or is plainer.
 pub(super) fn is_preferred(one: &Model, other: &Model, settings: &DiagnoseSettings) -> bool {
-    let is_bought = one.is_strained() && other.is_clean();
-    is_plainer(one, other) || (!is_bought && one.cost() < other.cost() - worthwhile(other, settings))
+    is_plainer(one, other) || (!is_bought(one, other) && one.cost() < other.cost() - worthwhile(other, settings))
+}
+
+/// Whether `one` leaves no more than noise only because declared values went farther off than chance puts them, where `other` leaves no
+/// more either: it has found another name for what is wrong, not a better one.
+pub(super) fn is_bought(one: &Model, other: &Model) -> bool {
+    one.is_strained() && other.is_clean() && !is_plainer(one, other)
 }
 
 /// Whether neither leaves more than noise, and the nuisances of `one` are clearly closer to what is declared. Costs of such models

@@ -1,9 +1,8 @@
 //! What an effect of the answer is confused with, in its place: it may say the same.
 
 use super::anchor::Anchor;
-use super::closely::Nearby;
 use super::path::Path;
-use super::places::is_preferred;
+use super::places::{is_bought, is_preferred};
 use super::problem::Replay;
 use super::responses::Scene;
 use super::search::{Model, Search};
@@ -42,8 +41,12 @@ impl Path {
                 let place = (&wanted.effects[..], wanted.x());
                 let mut found = there.settled_around(place, (replay, MAX_ANCHORS), settings, progress)?;
                 if found.0.cost() < NEAR * self.corrected.cost() {
-                    found = there.settled_closely(found, (replay, Nearby::Fine), settings, progress)?;
                     found = there.relaxed_holding(vec![Vec::new()], found, (replay, settings), progress)?;
+                    // Where only farther tolerances leave no more than noise, a closer look brings no nearer ones.
+                    if !is_bought(&found.0, &self.corrected) {
+                        found = there.settled_closely(found, replay, settings, progress)?;
+                        found = there.relaxed_holding(vec![Vec::new()], found, (replay, settings), progress)?;
+                    }
                 }
                 let (cost, so_far) = (found.0.cost(), self.corrected.cost());
                 progress.note(&format!("{kind} in place of {own}: cost {cost:.0}, {so_far:.0} so far"));
@@ -62,6 +65,11 @@ impl Path {
     }
 }
 
+/// Whether `other` may turn out to say as much as `model`, from which it was found.
+pub(super) fn is_promising(other: &Model, model: &Model) -> bool {
+    other.cost() < PROMISING * model.cost()
+}
+
 impl Search<'_> {
     /// What the effect of `path` at `index` is confused with in its place, one model for each kind that is worth replays.
     fn promising(&self, path: &Path, index: usize) -> Result<Vec<Model>> {
@@ -70,7 +78,7 @@ impl Search<'_> {
         for kind in effects::find(model.effects[index].kind)?.catalogue.confused_with {
             promising.extend(self.stand_in((model, index), &[kind], &path.anchor)?);
         }
-        promising.retain(|m| m.cost() < PROMISING * model.cost());
+        promising.retain(|other| is_promising(other, model));
         Ok(promising)
     }
 
