@@ -7,7 +7,6 @@ use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use super::stand_ins::is_promising;
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -50,7 +49,7 @@ impl Search<'_> {
         let kinds: Vec<&str> =
             (0..self.nuisances.len()).filter(|n| is_far(*n)).map(|n| self.nuisances[n].instance.kind).collect();
         let Some(last) = model.effects.len().checked_sub(1).filter(|_| !kinds.is_empty()) else { return Ok(None) };
-        Ok(self.stand_in((model, last), &kinds, anchor)?.filter(|other| is_promising(other, model)))
+        self.stand_in((model, last), &kinds, anchor)
     }
 }
 

@@ -65,11 +65,6 @@ impl Path {
     }
 }
 
-/// Whether `other` may turn out to say as much as `model`, from which it was found.
-pub(super) fn is_promising(other: &Model, model: &Model) -> bool {
-    other.cost() < PROMISING * model.cost()
-}
-
 impl Search<'_> {
     /// What the effect of `path` at `index` is confused with in its place, one model for each kind that is worth replays.
     fn promising(&self, path: &Path, index: usize) -> Result<Vec<Model>> {
@@ -78,7 +73,7 @@ impl Search<'_> {
         for kind in effects::find(model.effects[index].kind)?.catalogue.confused_with {
             promising.extend(self.stand_in((model, index), &[kind], &path.anchor)?);
         }
-        promising.retain(|other| is_promising(other, model));
+        promising.retain(|m| m.cost() < PROMISING * model.cost());
         Ok(promising)
     }
 

@@ -17,9 +17,11 @@ use toml::{Table, Value};
 
 /// Distance from what is declared that is beyond doubt, in standard deviations.
 const BEYOND: f64 = 4.0;
-/// What the field is from one-dimensional at low frequencies, by [`KINDS`]: 3 %, 3 ms, a corner of 0.01 Hz that any instrument may
-/// have, 1°; a tilt of 0.01° that it may have.
-const FIELD: [f64; 5] = [0.03, 0.003, 0.01, 0.017, tilt::FIELD_DEG];
+/// What the field is from one-dimensional at low frequencies, by [`KINDS`]: 3 %, 3 ms, [`CORNER_HZ`], 1°; a tilt of 0.01° that it may
+/// have.
+const FIELD: [f64; 5] = [0.03, 0.003, CORNER_HZ, 0.017, tilt::FIELD_DEG];
+/// Corner of a high-pass that any instrument may have, Hz.
+pub(super) const CORNER_HZ: f64 = 0.01;
 /// Place of tilts in [`KINDS`].
 const TILT: usize = 4;
 /// Normal quantile of a two-sided 95 % interval.

@@ -3,7 +3,7 @@
 use super::outcome::{Candidate, Diagnosis, Excess, Found, Verdict};
 use super::problem::{Problem, Replay};
 use super::settings::DiagnoseSettings;
-use super::standing::{KINDS, Standing, settled};
+use super::standing::{CORNER_HZ, KINDS, Standing, settled};
 use super::tilt;
 use super::unknowns::TOLERATED;
 use super::verdict::excess;
@@ -68,11 +68,11 @@ pub fn together(
 }
 
 /// The search has the whole band and all sensors to correct what stands: an error that it found at the same sensor is one with
-/// that, and where the two take each other away within the tolerance, there is none.
+/// that, and where the two take each other away within the tolerance, there is none. Errors add up, corners of high-passes as the
+/// phase advances that they make at higher frequencies.
 fn merge(standing: &mut Vec<Standing>, rest: &mut Vec<Found>, tolerances: &Tolerances) {
     standing.retain_mut(|Standing { found, .. }| {
-        let additive = KINDS.iter().filter(|[_, key, _]| *key != "corner_hz").find(|[kind, ..]| *kind == found.kind);
-        let Some([kind, key, _]) = additive else { return true };
+        let Some([kind, key, _]) = KINDS.iter().find(|[kind, ..]| *kind == found.kind) else { return true };
         let again = rest.iter().position(|f| f.kind == found.kind && f.target == found.target);
         let Some(more) = again.map(|i| rest.remove(i)) else { return true };
         let (Some(own), Some(more)) = (found.parameters.get_mut(*key), more.parameters.get(*key)) else { return true };
@@ -83,6 +83,7 @@ fn merge(standing: &mut Vec<Standing>, rest: &mut Vec<Found>, tolerances: &Toler
             "sensor_gain" => tolerances.gain_ln,
             "clock_offset" => tolerances.clock_s,
             tilt::KIND => tilt::FIELD_DEG,
+            "instrument_high_pass" => CORNER_HZ,
             _ => tolerances.orientation_deg,
         };
         own.value.abs() > TOLERATED * tolerance
@@ -96,17 +97,14 @@ mod tests {
     use crate::effects::Class;
     use std::collections::BTreeMap;
 
-    fn turned(sensor: &str, azimuth_deg: f64) -> Found {
-        let ci95 = [azimuth_deg - 1.0, azimuth_deg + 1.0];
+    fn found([kind, key]: [&str; 2], sensor: &str, value: f64) -> Found {
+        let ci95 = [value - 0.25, value + 0.25];
         Found {
-            kind: "sensor_orientation".into(),
+            kind: kind.into(),
             target: sensor.into(),
             class: Class::Sensor,
-            table: toml::Table::from_iter([("azimuth_deg".to_string(), Value::Float(azimuth_deg))]),
-            parameters: BTreeMap::from([(
-                "azimuth_deg".to_string(),
-                Estimate { value: azimuth_deg, unit: "°".into(), ci95 },
-            )]),
+            table: toml::Table::from_iter([(key.to_string(), Value::Float(value))]),
+            parameters: BTreeMap::from([(key.to_string(), Estimate { value, unit: "°".into(), ci95 })]),
             gain: 1.0,
             validation_gain: 1.0,
             is_standing: true,
@@ -115,15 +113,20 @@ mod tests {
 
     #[test]
     fn one_error_is_named_once() {
-        let stands = |sensor, angle| Standing { found: turned(sensor, angle), alike: Vec::new(), why: "" };
-        let mut standing = vec![stands("base", -6.0), stands("middle", 9.0), stands("top", 20.0)];
-        let mut rest = vec![turned("base", 5.5), turned("middle", 1.5), turned("other", 7.0)];
+        let turned = |sensor, angle| found(["sensor_orientation", "azimuth_deg"], sensor, angle);
+        let passed = |sensor, corner| found(["instrument_high_pass", "corner_hz"], sensor, corner);
+        let stands = |found| Standing { found, alike: Vec::new(), why: "" };
+        let first = [turned("base", -6.0), turned("middle", 9.0), turned("top", 20.0), passed("base", 0.25)];
+        let mut standing: Vec<Standing> = first.into_iter().map(stands).collect();
+        let mut rest = vec![turned("base", 5.5), turned("middle", 1.5), turned("other", 7.0), passed("base", 0.5)];
         merge(&mut standing, &mut rest, &Tolerances::default());
-        let named: Vec<(&str, f64)> =
-            standing.iter().map(|s| (s.found.target.as_str(), s.found.parameters["azimuth_deg"].value)).collect();
-        assert_eq!(named, [("middle", 10.5), ("top", 20.0)]);
+        let named: Vec<(&str, f64)> = standing
+            .iter()
+            .map(|s| (s.found.target.as_str(), s.found.parameters.values().map(|p| p.value).sum()))
+            .collect();
+        assert_eq!(named, [("middle", 10.5), ("top", 20.0), ("base", 0.75)]);
         assert_eq!(standing[0].found.table["azimuth_deg"].as_float(), Some(10.5));
-        assert_eq!(standing[0].found.parameters["azimuth_deg"].ci95, [9.5, 11.5]);
+        assert_eq!(standing[0].found.parameters["azimuth_deg"].ci95, [10.25, 10.75]);
         assert_eq!(rest.iter().map(|f| f.target.as_str()).collect::<Vec<_>>(), ["other"]);
     }
 }
