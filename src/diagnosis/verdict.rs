@@ -10,7 +10,7 @@ use super::round::Fitted;
 use super::screen::{Marginal, derivative};
 use super::search::{Model, Search, square};
 use super::unknowns::nuisance_tables;
-use crate::effects;
+use crate::effects::{self, Instance};
 use crate::error::Result;
 use std::collections::BTreeMap;
 
@@ -18,6 +18,8 @@ use std::collections::BTreeMap;
 const EDGES_HZ: [f64; 8] = [0.0, 0.5, 1.0, 2.0, 3.5, 5.0, 7.0, 100.0];
 /// Power of what is left, over noise's, above which it is not explained however much there was.
 const KNOWN_LEVEL: f64 = 2.0;
+/// Share of the range of a parameter within which it is at its end.
+const AT_END: f64 = 1e-3;
 /// Normal quantile of a two-sided 95 % interval.
 const TWO_SIDED: f64 = 1.96;
 
@@ -56,6 +58,14 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let input_coherent_share = input_coherent_share(search, &path.recalibrated);
     notes.extend(unfollowing(input_coherent_share, verdict));
     notes.extend(strained(corrected));
+    notes.extend(at_its_end(search, corrected).into_iter().map(|(instance, what)| {
+        let place = instance.place();
+        format!(
+            "`{}` {place} is at the end of its range ({}): it may stand for something else",
+            instance.kind,
+            what.trim()
+        )
+    }));
     let nuisances = nuisance_tables(&search.nuisances, path.recalibrated.x());
     let corrected_nuisances = nuisance_tables(&search.nuisances, corrected.x());
     let upper_bounds = if is_named { Vec::new() } else { upper_bounds(search, &fitter, &path.recalibrated) };
@@ -120,22 +130,43 @@ pub(super) fn excess(model: &Model) -> Excess {
     }
 }
 
-/// Kinds whose gain in the first round came within `ambiguity` of the best, and those that say the same in the answer.
+/// Kinds whose gain in the first round came within `ambiguity` of the best, those that say the same in the answer, and those that one
+/// at the end of its range may stand for.
 fn ambiguity(search: &Search<'_>, path: &Path) -> Vec<String> {
-    let Some(best) = path.first.first() else { return Vec::new() };
-    let mut kinds: Vec<String> = Vec::new();
-    for f in path.first.iter().filter(|f| best.gain - f.gain < search.settings.ambiguity && f.gain > 0.0) {
-        if !kinds.iter().any(|k| k == f.instance.kind) {
-            kinds.push(f.instance.kind.to_string());
-        }
+    let best = path.first.first().map_or(f64::INFINITY, |best| best.gain);
+    let close = path.first.iter().filter(|f| best - f.gain < search.settings.ambiguity && f.gain > 0.0);
+    let named = path.accepted.iter().filter(|_| !path.stand_ins.is_empty());
+    let mut all: Vec<&str> = close.chain(named).map(|f| f.instance.kind).collect();
+    all.extend(path.stand_ins.iter().map(String::as_str));
+    for (instance, _) in at_its_end(search, &path.corrected) {
+        all.push(instance.kind);
+        all.extend(effects::find(instance.kind).into_iter().flat_map(|e| e.catalogue.confused_with));
     }
-    let named = path.accepted.iter().map(|f| f.instance.kind).filter(|_| !path.stand_ins.is_empty());
-    for kind in named.chain(path.stand_ins.iter().map(String::as_str)) {
+    let mut kinds: Vec<String> = Vec::new();
+    for kind in all {
         if !kinds.iter().any(|k| k == kind) {
             kinds.push(kind.to_string());
         }
     }
     kinds
+}
+
+/// Effects of `model` with a parameter at an end of its range that is not their absence, and that parameter.
+fn at_its_end<'m>(search: &Search<'_>, model: &'m Model) -> Vec<(&'m Instance, String)> {
+    let unknowns = search.unknowns(&model.effects);
+    let end = |(k, instance): (usize, &'m Instance)| {
+        let zero = instance.zero().unwrap_or_default();
+        let own = model.x()[unknowns.start(k)..].iter().zip(&instance.free).enumerate();
+        let parameters = own.filter_map(|(i, (x, free))| {
+            let [low, high] = free.parameter.bounds();
+            let is_end = |end: f64| (x - end).abs() < AT_END * (high - low) && zero.get(i) != Some(&end);
+            let p = free.parameter;
+            (is_end(low) || is_end(high)).then(|| format!("{} = {:.3} {}", p.name, p.value(*x), p.unit))
+        });
+        let parameters: Vec<String> = parameters.collect();
+        (!parameters.is_empty()).then(|| (instance, parameters.join(", ")))
+    };
+    model.effects.iter().enumerate().filter_map(end).collect()
 }
 
 fn verdict(
@@ -317,6 +348,28 @@ mod tests {
     use super::super::responses::Scene;
     use super::super::settings::DiagnoseSettings;
     use super::*;
+
+    #[test]
+    fn what_is_at_the_end_of_its_range_may_be_something_else() {
+        let (problem, settings) = (judged(""), DiagnoseSettings::default());
+        let scene = Scene::new(&problem, &settings).unwrap();
+        let replay = Uniform(&problem);
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let is_alpha = |i: &&Instance| i.free.len() == 1 && i.free[0].parameter.name == "alpha_1_s";
+        let effects = [search.instances.iter().find(is_alpha).unwrap().clone()];
+        let [low, high] = effects[0].bounds()[0];
+        let kinds_at = |alpha: f64| {
+            let mut x = vec![0.0; search.nuisances.len()];
+            x.push(alpha);
+            let anchor = search.anchored(&effects, &x, None).unwrap();
+            let model = search.settle(&effects, &x, &anchor, None, 0).unwrap();
+            ambiguity(&search, &path(model, anchor))
+        };
+        assert!(kinds_at(0.5 * (low + high)).is_empty());
+        assert!(kinds_at(effects[0].zero().unwrap()[0]).is_empty(), "absence is no end");
+        let kinds = kinds_at(high);
+        assert!(kinds.len() > 1 && kinds.iter().any(|k| k == "small_strain_damping"), "{kinds:?}");
+    }
 
     #[test]
     fn what_leaves_far_more_than_noise_is_not_known_however_much_it_explains() {
