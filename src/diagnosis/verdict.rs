@@ -59,12 +59,8 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     notes.extend(unfollowing(input_coherent_share, verdict));
     notes.extend(strained(corrected));
     notes.extend(at_its_end(search, corrected).into_iter().map(|(instance, what)| {
-        let place = instance.place();
-        format!(
-            "`{}` {place} is at the end of its range ({}): it may stand for something else",
-            instance.kind,
-            what.trim()
-        )
+        let name = format!("`{}` {}", instance.kind, instance.place());
+        format!("{} is at the end of its range ({what}): it may stand for something else", name.trim())
     }));
     let nuisances = nuisance_tables(&search.nuisances, path.recalibrated.x());
     let corrected_nuisances = nuisance_tables(&search.nuisances, corrected.x());
@@ -161,7 +157,8 @@ fn at_its_end<'m>(search: &Search<'_>, model: &'m Model) -> Vec<(&'m Instance, S
             let [low, high] = free.parameter.bounds();
             let is_end = |end: f64| (x - end).abs() < AT_END * (high - low) && zero.get(i) != Some(&end);
             let p = free.parameter;
-            (is_end(low) || is_end(high)).then(|| format!("{} = {:.3} {}", p.name, p.value(*x), p.unit))
+            (is_end(low) || is_end(high))
+                .then(|| format!("{} = {:.3} {}", p.name, p.value(*x), p.unit).trim().to_string())
         });
         let parameters: Vec<String> = parameters.collect();
         (!parameters.is_empty()).then(|| (instance, parameters.join(", ")))
