@@ -45,15 +45,13 @@ impl Scene<'_> {
             let (now, anchor) = self.settled_around(place, (replay, MAX_ANCHORS), settings, progress)?;
             progress.note(&format!("polished: {:.0} before, {:.0} now", before.cost(), now.cost()));
             looks += 1;
-            if !now.is_far() {
-                let is_there = now.is_clean();
-                return if is_there {
-                    Ok((now, anchor))
-                } else {
-                    self.walked((now, anchor), replay, settings, progress)
-                };
+            if now.is_clean() {
+                return Ok((now, anchor));
             }
             // From far off, what comes next leads farther than this valley.
+            if !now.is_far() {
+                return self.walked((now, anchor), replay, settings, progress);
+            }
             if looks == POLISHES || now.cost() > before.cost() - worthwhile(&before, settings) {
                 return Ok((now, anchor));
             }
