@@ -58,7 +58,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let input_coherent_share = input_coherent_share(search, &path.recalibrated);
     notes.extend(unfollowing(input_coherent_share, verdict));
     notes.extend(strained(corrected));
-    notes.extend(at_its_end(search, corrected).into_iter().map(|(instance, what)| {
+    notes.extend(at_end_of_range(search, corrected).into_iter().map(|(instance, what)| {
         let name = format!("`{}` {}", instance.kind, instance.place());
         format!("{} is at the end of its range ({what}): it may stand for something else", name.trim())
     }));
@@ -134,7 +134,7 @@ fn ambiguity(search: &Search<'_>, path: &Path) -> Vec<String> {
     let named = path.accepted.iter().filter(|_| !path.stand_ins.is_empty());
     let mut all: Vec<&str> = close.chain(named).map(|f| f.instance.kind).collect();
     all.extend(path.stand_ins.iter().map(String::as_str));
-    for (instance, _) in at_its_end(search, &path.corrected) {
+    for (instance, _) in at_end_of_range(search, &path.corrected) {
         all.push(instance.kind);
         all.extend(effects::find(instance.kind).into_iter().flat_map(|e| e.catalogue.confused_with));
     }
@@ -148,7 +148,7 @@ fn ambiguity(search: &Search<'_>, path: &Path) -> Vec<String> {
 }
 
 /// Effects of `model` with a parameter at an end of its range that is not their absence, and that parameter.
-fn at_its_end<'m>(search: &Search<'_>, model: &'m Model) -> Vec<(&'m Instance, String)> {
+fn at_end_of_range<'m>(search: &Search<'_>, model: &'m Model) -> Vec<(&'m Instance, String)> {
     let unknowns = search.unknowns(&model.effects);
     let end = |(k, instance): (usize, &'m Instance)| {
         let zero = instance.zero().unwrap_or_default();
