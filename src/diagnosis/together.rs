@@ -6,7 +6,7 @@ use super::settings::DiagnoseSettings;
 use super::standing::{CORNER_HZ, KINDS, Standing, settled};
 use super::tilt;
 use super::unknowns::TOLERATED;
-use super::verdict::excess;
+use super::verdict::{KNOWN_LEVEL, excess};
 use crate::error::Result;
 use crate::manifest::Tolerances;
 use toml::Value;
@@ -23,6 +23,7 @@ pub fn together(
     settings: &DiagnoseSettings,
 ) -> Result<Diagnosis> {
     merge(&mut standing, &mut rest.effects, &problem.tolerances);
+    let mut is_near_noise = false;
     if let Some((model, nuisances)) = settled(problem, replay, settings, &[], None)? {
         let cost =
             |e: &Excess| e.train * (2.0 * model.expected[0]).sqrt() + e.validation * (2.0 * model.expected[1]).sqrt();
@@ -30,6 +31,7 @@ pub fn together(
         let [lost, left] = [&rest.recalibrated, &rest.corrected].map(cost);
         rest.explained_share = (lost > 0.0).then(|| (1.0 - left / lost).clamp(0.0, 1.0));
         rest.nuisances = nuisances;
+        is_near_noise = left < (KNOWN_LEVEL - 1.0) * model.expected.iter().sum::<f64>();
     }
     for Standing { found, alike, why } in &standing {
         rest.notes.push(format!("`{}` at {} {why}", found.kind, found.target));
@@ -45,7 +47,7 @@ pub fn together(
     let is_explained = rest.explained_share.is_some_and(|share| share >= settings.known_share);
     let is_named = !standing.is_empty() || !rest.effects.is_empty();
     rest.verdict = match rest.verdict {
-        Verdict::Unknown if !is_explained => Verdict::Unknown,
+        Verdict::Unknown if !(is_explained && is_near_noise) => Verdict::Unknown,
         _ if !is_named => Verdict::None,
         Verdict::Ambiguous => Verdict::Ambiguous,
         _ if standing.iter().any(|s| s.alike.len() > 1) => Verdict::Ambiguous,
@@ -92,6 +94,12 @@ fn merge(standing: &mut Vec<Standing>, rest: &mut Vec<Found>, tolerances: &Toler
 
 #[cfg(test)]
 mod tests {
+    use super::super::made_up::{Uniform, judged, path};
+    use super::super::outcome::Thresholds;
+    use super::super::responses::Scene;
+    use super::super::search::Search;
+    use super::super::standing::standing;
+    use super::super::verdict::assemble;
     use super::*;
     use crate::diagnosis::Estimate;
     use crate::effects::Class;
@@ -109,6 +117,38 @@ mod tests {
             validation_gain: 1.0,
             is_standing: true,
         }
+    }
+
+    #[test]
+    fn what_stands_is_no_full_answer_where_far_more_than_noise_is_left() {
+        let (problem, settings) = (judged("kind = 'sensor_polarity'\nsensor = 'top'"), DiagnoseSettings::default());
+        let replay = Uniform(&problem);
+        let scene = Scene::new(&problem, &settings).unwrap();
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let x = vec![0.0; search.nuisances.len()];
+        let anchor = search.anchored(&[], &x, None).unwrap();
+        let model = search.settle(&[], &x, &anchor, None, 0).unwrap();
+        let expected = model.expected;
+        let thresholds = Thresholds {
+            gain: 5.0,
+            validation_gain: 5.0,
+            excess: 3.0,
+            deviations: 3.0,
+            twins: 0,
+            null_gains: Vec::new(),
+        };
+        let rest = assemble(&search, &path(model, anchor), &thresholds).unwrap();
+        assert_eq!(rest.verdict, Verdict::Unknown);
+        let standing = standing(&problem, None, &settings).unwrap();
+        assert_eq!(standing.len(), 1);
+        let verdict_at = |level: f64| {
+            let train = (level - 1.0) * (expected[0] + expected[1]) / (2.0 * expected[0]).sqrt();
+            let rest = Diagnosis { corrected: Excess { train, validation: 0.0 }, ..rest.clone() };
+            let whole = together(standing.clone(), rest, &problem, &replay, &settings).unwrap();
+            assert!(whole.explained_share.unwrap() > settings.known_share, "{:?}", whole.explained_share);
+            whole.verdict
+        };
+        assert_eq!([1.5, 2.5].map(verdict_at), [Verdict::Known, Verdict::Unknown]);
     }
 
     #[test]

@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 /// Edges of the bands of the remaining structure, Hz.
 const EDGES_HZ: [f64; 8] = [0.0, 0.5, 1.0, 2.0, 3.5, 5.0, 7.0, 100.0];
 /// Power of what is left, over noise's, above which it is not explained however much there was.
-const KNOWN_LEVEL: f64 = 2.0;
+pub(super) const KNOWN_LEVEL: f64 = 2.0;
 /// Share of the range of a parameter within which it is at its end.
 const AT_END: f64 = 1e-3;
 /// Normal quantile of a two-sided 95 % interval.
