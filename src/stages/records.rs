@@ -27,7 +27,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn reads(&self) -> &'static [&'static str] {
