@@ -128,6 +128,8 @@ fn each_bin(
         if response.seen_by == seen_by { response.input.clone() } else { scene.true_input(effects, all, g, r) }
     };
     let inputs: Vec<Vec<C64>> = (0..n_record).map(input).collect();
+    let arrivals = |r: usize| scene.arrivals((effects, all), [g, r], (&responses.records[g][r], &seen_by));
+    let arrivals: Vec<Vec<C64>> = (0..n_record).map(arrivals).collect();
     let half = smoothing(&group.frequencies_hz);
     let turned = |r: usize| anchor.records[g][r].as_ref().map_or(Vec::new(), |a| a.turned(&inputs[r], &seen_by, half));
     let turned: Vec<Vec<C64>> = (0..n_record).map(turned).collect();
@@ -175,7 +177,7 @@ fn each_bin(
                     for (to, way) in bin.ways.iter_mut().zip(&ways) {
                         to[row] += weight * turned * way[q].get(at).copied().unwrap_or_default();
                     }
-                    predicted += arrival * inputs[q][k];
+                    predicted += arrivals[q].get(at).copied().unwrap_or_default();
                     motion += arrival;
                     bin.predicted[row] += weight * predicted;
                     for p in 0..n_record {

@@ -79,6 +79,11 @@ impl<'e> Operators<'e> {
         self.outputs.at(frequencies_hz, || frequencies_hz.iter().flat_map(at).collect())
     }
 
+    /// Whether there are further arrivals.
+    pub fn has_arrivals(&self) -> bool {
+        !self.arriving.is_empty()
+    }
+
     /// Further arrivals at `depth_m`, as a factor on the true base motion.
     pub fn arrival(&self, depth_m: f64, frequency_hz: f64) -> C64 {
         self.arriving.iter().filter_map(|e| e.arrival(depth_m, frequency_hz)).sum()

@@ -362,6 +362,30 @@ impl<'a> Scene<'a> {
         bins
     }
 
+    /// Further arrivals at the output sensors in record `r` of group `g` under the true base motion that `response` has or that is
+    /// `seen_by` another sensor, cut and tapered as the record is: what arrives late is beyond its end, not at its beginning.
+    /// `[bin][sensor]`, empty where nothing arrives.
+    pub(super) fn arrivals(
+        &self,
+        (effects, operators): (&[Box<dyn Effect>], &Operators<'_>),
+        [g, r]: [usize; 2],
+        (response, seen_by): (&RecordResponse, &InputSensor),
+    ) -> Vec<C64> {
+        if !operators.has_arrivals() {
+            return Vec::new();
+        }
+        let convolver = &self.groups[g].convolver;
+        let is_as_seen = response.seen_by == *seen_by;
+        let moved = (!is_as_seen).then(|| self.padded_input(effects, operators, g, r));
+        let input = moved.as_ref().unwrap_or(&response.padded);
+        let (first, count) = self.first_and_count(g);
+        let at = |depth_m: &f64| {
+            let bins = convolver.frequencies_hz.iter().zip(input);
+            convolver.cut(bins.map(|(f, input)| operators.arrival(*depth_m, *f) * input), first, count)
+        };
+        interleaved(self.problem.array.depths_m.iter().map(at).collect())
+    }
+
     /// What tells one state of the input sensor from another in group `g`.
     pub(super) fn input_sensor(&self, effects: &[Box<dyn Effect>], operators: &Operators<'_>, g: usize) -> InputSensor {
         let frequencies_hz = &self.groups[g].frequencies_hz;
@@ -410,5 +434,36 @@ impl Responses {
     /// The profile equal to `profile` that these responses already share.
     fn find(&self, profile: &Profile) -> Option<Arc<Profile>> {
         self.records.iter().flatten().map(|r| &r.profile).find(|p| ***p == *profile).cloned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{DT_S, problem};
+    use super::*;
+    use crate::numerics::spectrum;
+
+    #[test]
+    fn what_arrives_after_the_end_is_not_at_the_beginning() {
+        let (problem, settings) = (problem(""), DiagnoseSettings::default());
+        let scene = Scene::new(&problem, &settings).unwrap();
+        // The shaking has its middle at 14 of 41 s.
+        for delay_s in [3.0, 27.0] {
+            let table = format!("kind = 'surface_wave'\namplitude = 0.5\nvelocity_m_s = 200.0\ndelay_s = {delay_s:?}");
+            let effects = effects::build_all(&[toml::from_str(&table).unwrap()]).unwrap();
+            let operators = Operators::new(&scene, &effects);
+            let responses = scene.responses(&effects, &[0], None).unwrap();
+            let seen_by = scene.input_sensor(&effects, &operators, 0);
+            let found = scene.arrivals((&effects, &operators), [0, 0], (&responses.records[0][0], &seen_by));
+            for (s, depth_m) in problem.array.depths_m.iter().enumerate() {
+                let input = &problem.events[0].input;
+                let [late] = spectrum::respond([input], DT_S, |f, [u]| [u * operators.arrival(*depth_m, f)]);
+                let expected = scene.windowed(0, &late[scene.groups[0].records[0].window.clone()]);
+                let found = found.iter().skip(s).step_by(problem.array.depths_m.len());
+                let error: f64 = found.zip(&expected).map(|(a, b)| (a - b).norm_sqr()).sum();
+                let power: f64 = expected.iter().map(C64::norm_sqr).sum();
+                assert!(error < 0.01 * power, "{delay_s} s, {depth_m} m: {error} of {power}");
+            }
+        }
     }
 }
