@@ -100,7 +100,7 @@ impl Scene<'_> {
         let is_made_up_for = |i: &Instance| self.is_stiff() && i.kind == "layer_velocity";
         let is_new = |instance: &Instance, zero: f64, coordinate: f64| {
             let known = known.axes.iter().find(|axis| axis.instance == *instance).map_or(&[][..], |axis| &axis.nodes);
-            let near = NEAR * instance.free[0].parameter.prior_sd;
+            let near = NEAR * instance.free[0].size;
             (coordinate - zero).abs() >= near && known.iter().all(|n| (coordinate - n.coordinate).abs() >= near)
         };
         let new: Vec<(&Instance, f64, f64)> = wanted
@@ -129,8 +129,8 @@ impl Scene<'_> {
     pub(super) fn along_all(&self, replay: &dyn Replay, open: &[Instance]) -> Result<Self> {
         let typical = |instance: &Instance| {
             let (Some(zero), [[low, high]]) = (instance.zero(), &instance.bounds()[..]) else { return Vec::new() };
-            let sd = instance.free[0].parameter.prior_sd;
-            let both = [zero[0] - sd, zero[0] + sd].into_iter().filter(|x| x >= low && x <= high);
+            let size = instance.free[0].size;
+            let both = [zero[0] - size, zero[0] + size].into_iter().filter(|x| x >= low && x <= high);
             both.take(if instance.target.is_empty() { 2 } else { 1 }).collect()
         };
         let wanted: Vec<(&Instance, f64)> =

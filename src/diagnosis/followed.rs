@@ -93,7 +93,7 @@ pub(super) fn scaled(scene: &Scene<'_>, unknowns: &Unknowns<'_>, x: &[f64]) -> R
             let shift = scene.velocity_shift_with(&instance.at(&x[own.clone()]))?;
             let is_followed = unknowns.axis(instance).is_none() && shift.iter().any(|s| *s != 0.0);
             for (x, free) in scaled.x[own].iter_mut().zip(&instance.free) {
-                *x = if is_followed { 0.0 } else { *x / free.parameter.prior_sd };
+                *x = if is_followed { 0.0 } else { *x / free.size };
             }
         }
     }

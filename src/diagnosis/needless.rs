@@ -129,7 +129,7 @@ impl Search<'_> {
             return false;
         };
         let deviation = self.fitter(&path.anchor).deviations(&unknowns, &model.train, model.level())[own];
-        (model.x()[own] - zero).abs() < (reach(self) * deviation).max(SMALL * free.parameter.prior_sd)
+        (model.x()[own] - zero).abs() < (reach(self) * deviation).max(SMALL * free.size)
     }
 
     /// Takes the effect of `path` at `index` out if it is needless, and says whether it was.

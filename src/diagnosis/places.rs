@@ -14,7 +14,7 @@ use crate::progress::{Progress, Quiet};
 const MAX_MOVES: usize = 3;
 /// Places tried on either side.
 const REACH: usize = 2;
-/// Strengths tried there, as shares of the strength found here; tolerances of velocities make up for the difference.
+/// Strengths tried there, as shares of the strength found here in typical sizes; tolerances of velocities make up for the difference.
 const STRENGTHS: [f64; 3] = [0.75, 1.0, 1.33];
 /// Steps of a fit there.
 const STEPS: usize = 4;
@@ -131,6 +131,7 @@ impl Search<'_> {
         };
         let (_, released) = self.without(&model.effects, model.x(), others.len())?;
         let strength = model.x().len() - last.free.len();
+        let size = |i: &Instance| i.free.first().map_or(1.0, |f| f.size);
         let mut places = Vec::new();
         for place in &alike[here.saturating_sub(REACH)..(here + REACH + 1).min(alike.len())] {
             if model.effects.contains(place) {
@@ -138,7 +139,7 @@ impl Search<'_> {
             }
             let scaled = STRENGTHS.iter().map(|share| -> Result<Vec<f64>> {
                 let mut own = model.x()[strength..].to_vec();
-                own[0] = zero[0] + share * (own[0] - zero[0]);
+                own[0] = zero[0] + share * (own[0] - zero[0]) * size(place) / size(last);
                 own.iter_mut().zip(place.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
                 let shift = self.scene.velocity_shift_with(&place.at(&own))?;
                 let mut x = released.clone();

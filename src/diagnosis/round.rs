@@ -203,7 +203,7 @@ impl Search<'_> {
     /// When the effect cannot be built.
     pub(super) fn instead(&self, effects: &[Instance], from: &[f64], instance: &Instance) -> Result<Option<Vec<f64>>> {
         let (Some(zero), [free]) = (instance.zero(), &instance.free[..]) else { return Ok(None) };
-        let step = TRIVIAL * free.parameter.prior_sd;
+        let step = TRIVIAL * free.size;
         let unknowns = self.unknowns(effects);
         if let Some(n) = unknowns.followed_as(instance) {
             let own = zero[0] + from[n] * self.nuisances[n].deviation;
@@ -335,7 +335,7 @@ impl Search<'_> {
         free.iter()
             .zip(own)
             .zip(&zero)
-            .all(|((f, x), zero)| f.zero.is_none() || (x - zero).abs() < declared.max(TRIVIAL * f.parameter.prior_sd))
+            .all(|((f, x), zero)| f.zero.is_none() || (x - zero).abs() < declared.max(TRIVIAL * f.size))
     }
 }
 

@@ -8,7 +8,7 @@ use faer::linalg::solvers::{Llt, Solve};
 use faer::{Mat, Side};
 use rayon::prelude::*;
 
-/// Strengths tried on either side of zero, in prior standard deviations.
+/// Strengths tried on either side of zero, in typical sizes.
 const GRID: [f64; 4] = [0.4, 1.0, 2.0, 4.0];
 
 /// A point with the derivatives of the nuisances: costs of other residuals, nuisances marginalised.
@@ -174,10 +174,10 @@ impl Trial<'_> {
         } else {
             if pass == Pass::Grid {
                 let [low, high] = bounds[0];
-                let sd = self.instance.free[0].parameter.prior_sd;
+                let typical = self.instance.free[0].size;
                 for size in GRID.into_iter().flat_map(|g| [g, -g]) {
                     let mut x = start.clone();
-                    x[0] = (start[0] + size * sd).clamp(low, high);
+                    x[0] = (start[0] + size * typical).clamp(low, high);
                     if x[0] != start[0] && !tries.contains(&x) {
                         tries.push(x);
                     }
@@ -243,7 +243,7 @@ pub(super) fn derivative(
     start: &[f64],
 ) -> Option<Mat<f64>> {
     let free = instance.free.first()?;
-    let step = 0.1 * free.parameter.prior_sd;
+    let step = 0.1 * free.size;
     let step = if start[0] + step > free.parameter.bounds()[1] { -step } else { step };
     let mut moved = start.to_vec();
     moved[0] += step;

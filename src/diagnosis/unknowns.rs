@@ -304,7 +304,7 @@ impl Unknowns<'_> {
 
     /// What counts as one step of each: a prior standard deviation of a nuisance, a typical size of an effect.
     pub fn deviations(&self) -> Vec<f64> {
-        let effects = self.effects.iter().flat_map(|e| &e.free).map(|f| f.parameter.prior_sd);
+        let effects = self.effects.iter().flat_map(|e| &e.free).map(|f| f.size);
         self.nuisances.iter().map(|_| 1.0).chain(effects).collect()
     }
 
@@ -313,7 +313,7 @@ impl Unknowns<'_> {
     pub fn steps(&self) -> Vec<f64> {
         let own = |e: &Instance| -> Vec<f64> {
             let same = self.nuisances.iter().find(|n| n.instance.is_same(e));
-            let step = |f: &Free| same.map_or(0.5 * STEP * f.parameter.prior_sd, |n| STEP * n.deviation);
+            let step = |f: &Free| same.map_or(0.5 * STEP * f.size, |n| STEP * n.deviation);
             e.free.iter().map(step).collect()
         };
         self.nuisances.iter().map(|_| STEP).chain(self.effects.iter().flat_map(own)).collect()

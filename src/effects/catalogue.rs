@@ -163,12 +163,14 @@ pub struct Free {
     pub zero: Option<f64>,
     /// A value to start from.
     pub start: f64,
+    /// Typical size of the coordinate at this place.
+    pub size: f64,
 }
 
 impl Free {
-    /// A parameter whose search starts at `start`, with its own zero.
+    /// A parameter whose search starts at `start`, with its own zero and prior deviation.
     pub const fn new(parameter: &'static Parameter, start: f64) -> Self {
-        Self { parameter, zero: parameter.zero, start }
+        Self { parameter, zero: parameter.zero, start, size: parameter.prior_sd }
     }
 }
 

@@ -56,7 +56,8 @@ fn instances(array: &Array) -> Vec<Instance> {
         let depth = i as f64 * spacing;
         let density = array.profile.layers.first().map_or(1800.0, |l| l.density_kg_m3);
         let start_kpa = 0.1 * G_M_S2 * density * depth / KPA;
-        let free = vec![Free::new(&PARAMETERS[0], start_kpa)];
+        // The deeper, the heavier what slips: one size for all depths would never be reached by some and crush others.
+        let free = vec![Free { size: PARAMETERS[0].coordinate(start_kpa), ..Free::new(&PARAMETERS[0], start_kpa) }];
         Instance::new(ENTRY.name, [("depth_m", depth.into())], free)
     };
     (1..).take_while(|i| (*i as f64 + 0.5) * spacing <= depth_m + 1e-6).map(at).collect()
@@ -101,6 +102,32 @@ impl Effect for InterfaceSlip {
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.tau_max_kpa < BEYOND_KPA && self.depth_m < profile.depth_m() {
             profile.features.slips.push(Slip { depth_m: self.depth_m, tau_max_pa: self.tau_max_kpa * KPA });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::effects::layers::tests::profile;
+
+    #[test]
+    fn a_typical_interface_stops_one_acceleration_at_every_depth() {
+        let profile = profile("elastic");
+        let density = profile.layers[0].density_kg_m3;
+        let array = Array {
+            profile,
+            input: "base".into(),
+            outputs: vec!["top".into()],
+            depths_m: vec![0.0],
+            components: vec!["EW".into()],
+        };
+        let all = instances(&array);
+        assert!(all.len() > 2);
+        for (i, instance) in all.iter().enumerate() {
+            let tau_max_pa = KPA * instance.free[0].parameter.value(instance.free[0].size);
+            let above_kg_m2 = density * (i + 1) as f64 * (array.profile.depth_m() / 9.0).max(1.0);
+            assert!((tau_max_pa / above_kg_m2 - 0.1 * G_M_S2).abs() < 1e-9, "{}", instance.place());
         }
     }
 }

@@ -17,7 +17,7 @@ pub(super) const ENTRY: Entry = Entry {
         class: Class::Soil,
         parameters: PARAMETERS,
         instances,
-        confused_with: &["layer_velocity", "sensor_gain", "structure_interaction"],
+        confused_with: &["layer_velocity", "sensor_gain", "structure_interaction", "thin_seam"],
         key: "more high frequencies at the surface, nothing at the sensors below",
     },
 };

@@ -17,7 +17,7 @@ pub(super) const ENTRY: Entry = Entry {
         class: Class::Soil,
         parameters: PARAMETERS,
         instances,
-        confused_with: &["layer_velocity", "water_table", "sensor_depth"],
+        confused_with: &["layer_velocity", "water_table", "sensor_depth", "stiff_crust"],
         key: "second and third mode move more than the first; only thickness over stiffness can be told",
     },
 };

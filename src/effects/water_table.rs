@@ -39,7 +39,7 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 /// One instance where the column has water.
 fn instances(array: &Array) -> Vec<Instance> {
     let declared_m = array.profile.water_table_m;
-    let depth = Free { parameter: &PARAMETERS[0], zero: Some(declared_m), start: declared_m };
+    let depth = Free { zero: Some(declared_m), ..Free::new(&PARAMETERS[0], declared_m) };
     let is_wet = declared_m < array.profile.depth_m();
     is_wet.then(|| Instance::new(ENTRY.name, [], vec![depth])).into_iter().collect()
 }

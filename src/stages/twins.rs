@@ -53,7 +53,7 @@ impl Stage for TwinThresholds {
     }
 
     fn version(&self) -> u32 {
-        17
+        18
     }
 
     fn reads(&self) -> &'static [&'static str] {
