@@ -8,7 +8,7 @@ use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use crate::effects;
+use crate::effects::{self, Class, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -92,7 +92,8 @@ impl Search<'_> {
         let at = self.unknowns(&others).start(index);
         let mut best: Option<Model> = None;
         for instance in self.open(&model.effects).into_iter().filter(|i| kinds.contains(&i.kind)) {
-            let Some(mut x) = self.instead(&others, &released, &instance)? else { continue };
+            let at_sensor = || self.at_sensor(&released, &instance);
+            let Some(mut x) = self.instead(&others, &released, &instance)?.or_else(at_sensor) else { continue };
             let own = x.split_off(released.len());
             x.splice(at..at, own);
             let mut effects = others.clone();
@@ -105,6 +106,16 @@ impl Search<'_> {
         }
         Ok(best)
     }
+
+    /// Unknowns `from` with an effect of a sensor beside them: what the tolerance that is the same thing had, else nothing yet.
+    fn at_sensor(&self, from: &[f64], instance: &Instance) -> Option<Vec<f64>> {
+        let zero = instance.zero().filter(|z| instance.class() == Class::Sensor && z.len() == 1)?;
+        let mut x = from.to_vec();
+        let same = self.nuisances.iter().position(|n| n.instance.is_same(instance));
+        let own = same.map_or(0.0, |n| std::mem::take(&mut x[n]) * self.nuisances[n].deviation);
+        x.push(zero[0] + own);
+        Some(x)
+    }
 }
 
 #[cfg(test)]
@@ -112,9 +123,33 @@ mod tests {
     use super::super::made_up::{DT_S, Uniform, judged, path};
     use super::super::problem::NoiseSpectrum;
     use super::*;
-    use crate::effects::Instance;
     use crate::manifest::Tolerances;
     use crate::progress::Quiet;
+
+    #[test]
+    fn a_late_clock_takes_the_place_of_a_low_pass_that_stood_in_for_it() {
+        let mut problem = judged("kind = 'clock_offset'\nsensor = 'top'\noffset_s = 0.013");
+        problem.tolerances = Tolerances { vs_ln: 0.2, damping_ln: 0.2, ..problem.tolerances };
+        let (settings, replay) = (DiagnoseSettings::default(), Uniform(&problem));
+        let mut scene = Scene::new(&problem, &settings).unwrap();
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let nuisance = |kind: &str| search.nuisances.iter().position(|n| n.instance.kind == kind).unwrap();
+        let mut x = vec![0.0; search.nuisances.len()];
+        x[nuisance("layer_velocity")] = 0.75f64.ln() / search.nuisances[nuisance("layer_velocity")].deviation;
+        x[nuisance("small_strain_damping")] =
+            1.5f64.ln() / search.nuisances[nuisance("small_strain_damping")].deviation;
+        x.push(std::f64::consts::TAU * 0.0065);
+        let is_low_pass = |i: &&Instance| i.kind == "instrument_low_pass" && i.place() == "top";
+        let effects = [search.instances.iter().find(is_low_pass).unwrap().clone()];
+        let anchor = scene.look_around(&replay, &settings, (&effects, &x), &Quiet).unwrap();
+        let search = Search::new(&scene, &settings, Some(&replay)).unwrap();
+        let corrected = search.settle(&effects, &x, &anchor, None, 6).unwrap();
+        let mut path = path(corrected, anchor);
+        path.try_stand_ins(&mut scene, (&replay, &settings), &Quiet).unwrap();
+        let named = &path.corrected.effects[0];
+        assert_eq!((named.kind, named.place().as_str()), ("clock_offset", "top"));
+        assert!((path.corrected.x().last().unwrap() - 0.013).abs() < 0.001, "{:?}", path.corrected.x());
+    }
 
     #[test]
     fn what_says_the_same_makes_the_answer_ambiguous_and_what_is_plainer_takes_its_place() {
