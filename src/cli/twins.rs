@@ -86,7 +86,9 @@ fn print(report: &Report) {
     for (name, tally) in &report.cells {
         lines(name, tally);
     }
-    lines("effects whose error outlives recalibration", &report.surviving);
+    for (name, tally) in &report.surviving {
+        lines(&format!("{name}: those whose error outlives recalibration"), tally);
+    }
     println!("what held → what was said");
     for (held, answers) in &report.confusion {
         for (answer, count) in answers {

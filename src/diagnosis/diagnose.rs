@@ -13,13 +13,14 @@ use super::round::{Fitted, Ground, Plain};
 use super::search::{CLEAN, Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use super::standing::{Standing, beside, decided, labels, others, standing};
+use super::standing::{Beside, Standing, beside, decided, labels, others, standing};
 use super::together::together;
 use super::unknowns::{MAX_DEVIATIONS, nuisances};
 use super::verdict;
 use crate::error::{Error, Result};
-use crate::progress::Progress;
+use crate::progress::{Progress, Quiet};
 use std::cmp::Ordering;
+use toml::Table;
 
 /// Most steps of a fit.
 pub(super) const STEPS: usize = 6;
@@ -87,6 +88,24 @@ fn is_better(one: &Diagnosis, other: &Diagnosis) -> bool {
         order => order,
     };
     one.verdict != Verdict::Unknown && order.is_lt()
+}
+
+/// Tables of the nuisances of the model that has the effects `known` and is recalibrated beside them.
+///
+/// # Errors
+/// As [`diagnose`].
+pub fn recalibrated(
+    problem: &Problem,
+    replay: &dyn Replay,
+    known: &[Table],
+    settings: &DiagnoseSettings,
+    thresholds: &Thresholds,
+) -> Result<Vec<Table>> {
+    let mut problem = problem.clone();
+    problem.declared.extend(known.iter().cloned());
+    let replay = Beside { replay, tables: known.to_vec() };
+    let settings = DiagnoseSettings { max_effects: 0, ..settings.clone() };
+    Ok(diagnose_rest(&problem, &replay, &settings, thresholds, &Quiet)?.nuisances)
 }
 
 /// What the declared model and its `declared` effects lack.

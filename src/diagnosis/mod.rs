@@ -74,7 +74,7 @@ mod verdict;
 pub use coherence::{Coherent, Trace, coherent};
 pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use curves::{Curve, Curves};
-pub use diagnose::diagnose;
+pub use diagnose::{diagnose, recalibrated};
 pub use evidence::Evidence;
 pub use fast_column::{FastColumn, Grid, March, element_count};
 pub use floor::noise_deviation_m_s2;

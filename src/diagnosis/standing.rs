@@ -174,8 +174,8 @@ pub fn beside<'a>(problem: &Problem, replay: &'a dyn Replay, standing: &[Standin
 
 /// Replays under effects that stand already.
 pub struct Beside<'a> {
-    replay: &'a dyn Replay,
-    tables: Vec<Table>,
+    pub(super) replay: &'a dyn Replay,
+    pub(super) tables: Vec<Table>,
 }
 
 impl Beside<'_> {

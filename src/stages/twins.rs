@@ -6,7 +6,7 @@ use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
 use super::problem::{Bench, READS};
 use super::{null_twins, records};
-use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, diagnose, thresholds};
+use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, diagnose, recalibrated, thresholds};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
 use crate::metrics::median;
@@ -25,7 +25,7 @@ pub struct TwinThresholds;
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 26);
+const TWIN: (&str, u32) = ("twin", 27);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -82,7 +82,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        26
+        27
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -183,6 +183,15 @@ impl Stand {
         let error = |tables: &[Table]| self.error(&bench, tables, &held_out);
         let corrected = correction(&diagnosis);
         let truth = case.tables(&bench.problem.array, &self.tolerances);
+        let effects = &case.truth.effects;
+        let without = |left_out: usize| -> Result<Option<f64>> {
+            let mut tables = effects.clone();
+            tables.remove(left_out);
+            tables.extend(recalibrated(&bench.problem, &bench, &tables, &self.settings, thresholds)?);
+            error(&tables)
+        };
+        let several = if effects.len() > 1 { 0..effects.len() } else { 0..0 };
+        let without_one = several.map(without).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
         let mut ranked: Vec<String> = Vec::new();
         for candidate in diagnosis.candidates.iter().filter(|c| c.round == 1) {
             if !ranked.contains(&candidate.kind) {
@@ -207,6 +216,7 @@ impl Stand {
                 corrected: if corrected.is_empty() { None } else { error(&corrected)? },
                 floor: if case.truth.outside.is_empty() { error(&truth)? } else { None },
             },
+            without_one_percent: without_one,
             seconds: start.elapsed().as_secs_f64(),
         })
     }
