@@ -26,7 +26,9 @@ torch() { # channels sequences latent batch threads
         grep -o '{.*}' | tail -1
 }
 
-bench | tee /dev/stderr | while read -r line; do
+# One after the other: what runs at the same time would share the cores.
+lines=$(bench)
+while read -r line; do
     field() { "$python" -c 'import json,sys; print(json.loads(sys.argv[1])[sys.argv[2]])' "$line" "$1"; }
     peer=$(torch "$(field channels)" "$(field sequences)" "$(field latent)" "$(field batch)" "$(field threads)")
     "$python" - "$peer" "$line" "$mode" <<'PY'
@@ -37,4 +39,4 @@ print(f"{own['sequences']} x 60 x {own['channels']}, r = {own['latent']}, batch 
       f"ratio {peer['wall_min'] / own['wall_min']:.2f} (processor time {peer['user_min'] / own['user_min']:.2f}); "
       f"products at {100 * own['product_share']:.0f} % of the peak of one core")
 PY
-done
+done <<<"$lines"
