@@ -13,7 +13,7 @@ use super::round::{Fitted, Ground, Plain};
 use super::search::{CLEAN, Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use super::standing::{Beside, Standing, beside, decided, labels, others, standing};
+use super::standing::{Standing, beside, decided, labels, others, standing, tables};
 use super::together::together;
 use super::unknowns::{MAX_DEVIATIONS, nuisances};
 use super::verdict;
@@ -56,7 +56,7 @@ pub fn diagnose(
         for s in &standing {
             progress.note(&format!("{} {} stands whatever the profile", s.found.kind, s.found.target));
         }
-        let (known, beside) = beside(problem, replay, &standing);
+        let (known, beside) = beside(problem, replay, &tables(&standing));
         let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
         together(standing, rest, problem, replay, settings)
     };
@@ -101,9 +101,7 @@ pub fn recalibrated(
     settings: &DiagnoseSettings,
     thresholds: &Thresholds,
 ) -> Result<Vec<Table>> {
-    let mut problem = problem.clone();
-    problem.declared.extend(known.iter().cloned());
-    let replay = Beside { replay, tables: known.to_vec() };
+    let (problem, replay) = beside(problem, replay, known);
     let settings = DiagnoseSettings { max_effects: 0, ..settings.clone() };
     Ok(diagnose_rest(&problem, &replay, &settings, thresholds, &Quiet)?.nuisances)
 }
@@ -122,7 +120,7 @@ fn diagnose_rest(
     // Once relabelled, records cannot be suspected of the same again.
     if let Some(labels) = suspicion.map(labels).filter(|l| l.iter().any(|l| !problem.declared.contains(&l.found.table)))
     {
-        let (known, beside) = beside(problem, replay, &labels);
+        let (known, beside) = beside(problem, replay, &tables(&labels));
         let rest = diagnose_rest(&known, &beside, settings, thresholds, progress)?;
         return together(labels, rest, problem, replay, settings);
     }

@@ -128,7 +128,7 @@ pub(super) fn settled(
     standing: &[Standing],
     kind: Option<&str>,
 ) -> Result<Option<(Model, Vec<Table>)>> {
-    let (known, replay) = beside(problem, replay, standing);
+    let (known, replay) = beside(problem, replay, &tables(standing));
     let mut scene = Scene::new(&known, settings)?;
     let anchor = scene.declared(Some(&replay), nuisances(&known)?.len())?;
     let search = Search::new(&scene, settings, Some(&replay))?;
@@ -164,12 +164,16 @@ fn low_pass(standing: &Standing, array: &Array) -> Option<Standing> {
     Some(stands(table, BTreeMap::from([("corner_hz".to_string(), estimate)]), standing.found.gain, &alike))
 }
 
-/// `problem` with what stands declared, and its column shaken accordingly.
-pub fn beside<'a>(problem: &Problem, replay: &'a dyn Replay, standing: &[Standing]) -> (Problem, Beside<'a>) {
-    let tables: Vec<Table> = standing.iter().map(|s| s.found.table.clone()).collect();
+/// `[[effects]]` tables of what stands.
+pub(super) fn tables(standing: &[Standing]) -> Vec<Table> {
+    standing.iter().map(|s| s.found.table.clone()).collect()
+}
+
+/// `problem` with these effects declared, and its column shaken accordingly.
+pub fn beside<'a>(problem: &Problem, replay: &'a dyn Replay, effects: &[Table]) -> (Problem, Beside<'a>) {
     let mut known = problem.clone();
-    known.declared.extend(tables.iter().cloned());
-    (known, Beside { replay, tables })
+    known.declared.extend(effects.iter().cloned());
+    (known, Beside { replay, tables: effects.to_vec() })
 }
 
 /// Replays under effects that stand already.

@@ -34,7 +34,8 @@ pub fn respond<const N: usize>(
     let mut planner = RealFftPlanner::<f64>::new();
     let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
     let mut spectra = series.map(|x| {
-        let mut padded = continued(x, goes_on, fade, length);
+        let ends = if goes_on { [x[0], x[x.len() - 1]] } else { [0.0; 2] };
+        let mut padded = continued(x, ends, fade, length);
         let mut spectrum = forward.make_output_vec();
         forward.process(&mut padded, &mut spectrum).expect("buffers made by the plan itself");
         spectrum
@@ -58,11 +59,22 @@ pub fn respond<const N: usize>(
     })
 }
 
-fn continued(x: &[f64], goes_on: bool, fade: usize, length: usize) -> Vec<f64> {
+/// Frequencies, Hz, and values of the spectrum of `series`, followed by as many zeros as it is long or more.
+pub fn spectrum(series: &[f64], dt_s: f64) -> (Vec<f64>, Vec<Complex<f64>>) {
+    let length = fast_length(2 * series.len().max(1));
+    let mut padded = series.to_vec();
+    padded.resize(length, 0.0);
+    let forward = RealFftPlanner::<f64>::new().plan_fft_forward(length);
+    let mut spectrum = forward.make_output_vec();
+    forward.process(&mut padded, &mut spectrum).expect("buffers made by the plan itself");
+    ((0..spectrum.len()).map(|k| k as f64 / (length as f64 * dt_s)).collect(), spectrum)
+}
+
+/// `x` after so many samples that lead up to it, and before as many that lead away, from and to zero; next to it are these values.
+fn continued(x: &[f64], [first, last]: [f64; 2], fade: usize, length: usize) -> Vec<f64> {
     let mut padded = vec![0.0; length];
-    let (first, last) = (x[0], x[x.len() - 1]);
     padded[fade..fade + x.len()].copy_from_slice(x);
-    for i in (0..fade).filter(|_| goes_on) {
+    for i in 0..fade {
         let weight = 0.5 * (1.0 + (PI * (i + 1) as f64 / (fade + 1) as f64).cos());
         padded[fade - 1 - i] = first * weight;
         padded[fade + x.len() + i] = last * weight;
