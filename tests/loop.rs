@@ -134,3 +134,35 @@ fn nothing_is_named_where_nothing_is_missing_and_the_second_pass_is_the_first() 
     assert!(!computed.iter().any(|s| again.contains(&s.as_str())), "{computed:?}");
     assert!(!place.path("runs/smoke/site.corrected.toml").exists());
 }
+
+#[test]
+fn what_has_no_name_is_called_unknown_and_corrected_without_physics_under_the_same_rule() {
+    let place = Place::new("[[outside]]\nkind = 'lateral_scattering'\nln_amplitude = 0.4\nphase_rad = 0.4\n");
+    place.run(&[]);
+    let found = place.loop_json();
+    assert_eq!((&found["verdict"], found["effects"].as_array().map(Vec::len)), (&"unknown".into(), Some(0)));
+    let generic = &found["generic"];
+    assert_eq!(generic["is_physical"], false);
+    let rows = generic["errors"].as_array().expect("a list");
+    assert_eq!(rows.len(), 8 * 2 * 2, "events, components, sensors");
+    for (row, six) in rows.iter().zip(found["errors"].as_array().expect("a list")) {
+        let nrmse = &row["nrmse_percent"];
+        assert_eq!(nrmse["fe"], six["nrmse_percent"]["recalibrated"], "{row}");
+        assert_eq!(nrmse["flare_t"], six["nrmse_percent"]["flare_before"], "{row}");
+        assert!(nrmse["fe_generic"].is_number() && nrmse["flare_t_generic"].is_number(), "{row}");
+    }
+    for component in ["EW", "NS"] {
+        let terms = &generic["terms"][component];
+        assert_eq!(terms["is_asked"], true);
+        assert!(terms["tried"].as_array().is_some_and(|tried| tried.len() >= 3), "{terms}");
+        let [before, after] = [0, 1].map(|i| terms["validation"][i].as_f64().expect("a number"));
+        assert!(if terms["taken"].is_null() { after == before } else { after < before }, "{terms}");
+    }
+    // Claimed is what the held-out events bear out, as everywhere.
+    for change in generic["changes"].as_array().expect("a list") {
+        let high = change["ci95_points"][1].as_f64().expect("a number");
+        assert_eq!(change["is_improved"], high < 0.0, "{change}");
+    }
+    let report = fs::read_to_string(place.path("runs/smoke/report.html")).expect("a report");
+    assert!(report.contains("without physical meaning") && report.contains("FE with factors"));
+}

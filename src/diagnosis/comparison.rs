@@ -108,7 +108,7 @@ impl Summary {
         let pick = |row: &ErrorRow, name: &str| {
             row.nrmse_percent.named().iter().find(|(n, _)| *n == name)?.1.as_ref().copied()
         };
-        let over = |name: &str| by_event(&tests, |row| pick(row, name));
+        let over = |name: &str| by_event(tests.iter().map(|row| (row.event.as_str(), pick(row, name))));
         let names = Six {
             declared: "declared",
             recalibrated: "recalibrated",
@@ -122,17 +122,8 @@ impl Summary {
         let beside =
             rows.iter().zip(ablation).filter(|(row, _)| row.split == Split::Test).filter_map(|(_, value)| *value);
         let changes = PAIRS.iter().filter_map(|(from, to)| {
-            let events = by_event(&tests, |row| Some(pick(row, to)? - pick(row, from)?));
-            let ci95_points = median_interval(&events, seed)?;
-            let n_event = events.iter().filter(|e| !e.is_empty()).count();
-            Some(Change {
-                from: (*from).into(),
-                to: (*to).into(),
-                median_points: median(&all(events)),
-                ci95_points,
-                is_improved: n_event >= 2 && ci95_points[1] < 0.0,
-                n_event,
-            })
+            let difference = |row: &ErrorRow| Some(pick(row, to)? - pick(row, from)?);
+            Change::of(tests.iter().map(|row| (row.event.as_str(), difference(row))), from, to, seed)
         });
         Self {
             test_median_nrmse_percent: names.map(|name| middle(all(over(name)))),
@@ -143,14 +134,31 @@ impl Summary {
     }
 }
 
-/// Finite values of the rows, one list an event.
-fn by_event(rows: &[&ErrorRow], value: impl Fn(&ErrorRow) -> Option<f64>) -> Vec<Vec<f64>> {
+impl Change {
+    /// The change `from` one prediction `to` another by their `differences` of NRMSE, each with its event; `None` without any.
+    pub fn of<'a>(
+        differences: impl Iterator<Item = (&'a str, Option<f64>)>,
+        from: &str,
+        to: &str,
+        seed: u64,
+    ) -> Option<Self> {
+        let events = by_event(differences);
+        let ci95_points = median_interval(&events, seed)?;
+        let n_event = events.len();
+        let is_improved = n_event >= 2 && ci95_points[1] < 0.0;
+        let median_points = median(&events.concat());
+        Some(Self { from: from.into(), to: to.into(), median_points, ci95_points, is_improved, n_event })
+    }
+}
+
+/// The finite ones of the values, one list an event.
+fn by_event<'a>(values: impl Iterator<Item = (&'a str, Option<f64>)>) -> Vec<Vec<f64>> {
     let mut events: Vec<(&str, Vec<f64>)> = Vec::new();
-    for row in rows {
-        let Some(value) = value(row).filter(|v| v.is_finite()) else { continue };
-        match events.iter_mut().find(|(event, _)| *event == row.event) {
+    for (event, value) in values {
+        let Some(value) = value.filter(|v| v.is_finite()) else { continue };
+        match events.iter_mut().find(|(known, _)| *known == event) {
             Some((_, values)) => values.push(value),
-            None => events.push((&row.event, vec![value])),
+            None => events.push((event, vec![value])),
         }
     }
     events.into_iter().map(|(_, values)| values).collect()

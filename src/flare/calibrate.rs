@@ -182,13 +182,14 @@ fn check(
     Ok(())
 }
 
-fn cosine_similarity(a: &[f32], b: &[f32]) -> f64 {
+/// Cosine of the angle between two vectors.
+pub(super) fn cosine_similarity(a: &[f32], b: &[f32]) -> f64 {
     let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum::<f64>();
     dot(a, b) / (dot(a, a) * dot(b, b)).sqrt().max(f64::MIN_POSITIVE)
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::flare::events::Group;
     use crate::flare::mlp::Tape;
@@ -198,7 +199,7 @@ mod tests {
     use crate::numerics::random::stream;
     use rand::RngExt;
 
-    fn random(n: usize, scale: f32, label: &str) -> Vec<f32> {
+    pub fn random(n: usize, scale: f32, label: &str) -> Vec<f32> {
         let mut random = stream(6, label);
         (0..n).map(|_| scale * (2.0 * random.random::<f32>() - 1.0)).collect()
     }
@@ -213,7 +214,7 @@ mod tests {
         (model, encoder, observation)
     }
 
-    fn problem() -> (SourceModel, SparseEncoder, Observation) {
+    pub fn problem() -> (SourceModel, SparseEncoder, Observation) {
         with_hidden(0)
     }
 
@@ -251,7 +252,7 @@ mod tests {
         (SourceModel { shape, parameters, mask }, encoder, observation)
     }
 
-    fn event(n_step: usize, label: &str) -> Event {
+    pub fn event(n_step: usize, label: &str) -> Event {
         let u = random(n_step, 1.0, &format!("{label} u"));
         let u_half = random(n_step - 1, 1.0, &format!("{label} half"));
         Event { id: label.into(), u, u_half, sparse: random(2 * n_step, 1.0, &format!("{label} sparse")) }

@@ -139,24 +139,34 @@ fn boxes(closing: &Closing, rows: &[&ErrorRow]) -> Markup {
 }
 
 fn changes(closing: &Closing) -> Markup {
-    let name = |key: &str| key.replace("flare_", "FLARE-T ");
-    let numbers = |c: &Change| {
-        let [low, high] = c.ci95_points.map(|v| number::fixed(v, 1));
-        format!("{} points [{low}, {high}], {} events", number::fixed(c.median_points, 1), c.n_event)
-    };
     html! {
         ul {
-            @for change in &closing.changes {
-                li {
-                    (name(&change.from)) " → " (name(&change.to)) ": " (numbers(change)) " – "
-                    @if change.is_improved { b { "improved" } } @else { "no improvement can be claimed" }
-                }
-            }
+            @for change in &closing.changes { (claim(change)) }
             @if let Some(ablation) = closing.ablation_percent {
                 li { "Simulations as declared, calibration alone on the corrected site: median " (number::fixed(ablation, 1)) " %" }
             }
         }
         p.soft { "Median of paired differences with its 95 % interval when events are drawn anew; “improved” only where the whole interval lies below zero." }
+    }
+}
+
+/// What a difference allows to say.
+pub(super) fn claim(change: &Change) -> Markup {
+    let name = |key: &str| match key {
+        "fe" => "FE".to_string(),
+        "fe_generic" => "FE with factors".to_string(),
+        "flare_t" => "FLARE-T".to_string(),
+        "flare_t_generic" => "FLARE-T with more terms".to_string(),
+        other => other.replace("flare_", "FLARE-T "),
+    };
+    let [low, high] = change.ci95_points.map(|v| number::fixed(v, 1));
+    let numbers =
+        format!("{} points [{low}, {high}], {} events", number::fixed(change.median_points, 1), change.n_event);
+    html! {
+        li {
+            (name(&change.from)) " → " (name(&change.to)) ": " (numbers) " – "
+            @if change.is_improved { b { "improved" } } @else { "no improvement can be claimed" }
+        }
     }
 }
 

@@ -34,6 +34,8 @@ pub struct Closing {
     pub remainder: Option<Remainder>,
     /// What the residuals of the last model say by themselves, by output sensor.
     pub evidence: Vec<SensorEvidence>,
+    /// Corrections without physical meaning, where nothing named explains the records.
+    pub generic: Option<Generic>,
     /// Remarks.
     pub notes: Vec<String>,
 }
@@ -175,4 +177,16 @@ pub struct SensorEvidence {
     /// Share of the record's power that stays unexplained on validation events, before and after a smooth factor without
     /// physical meaning.
     pub generic: Option<[f64; 2]>,
+}
+
+/// Corrections without physical meaning.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Generic {
+    /// Names of the models with their medians over held-out events without and with the correction, %.
+    pub models: Vec<(String, [Option<f64>; 2])>,
+    /// Paired differences over held-out events.
+    pub changes: Vec<Change>,
+    /// What was and was not found.
+    pub notes: Vec<String>,
 }

@@ -5,8 +5,8 @@ use maud::{Markup, html};
 use kuva::plot::scatter::MarkerShape;
 
 use super::chart::{self, Axis, Curve, Dots, Frame, Marks};
-use super::closing::{interval, words};
-use super::closing_content::{Bound, Closing, Interval, Remainder, SensorEvidence};
+use super::closing::{claim, interval, words};
+use super::closing_content::{Bound, Closing, Generic, Interval, Remainder, SensorEvidence};
 use super::figure::{Key, figure, legend};
 use super::number;
 
@@ -17,6 +17,7 @@ pub(super) fn is_any(closing: &Closing) -> bool {
         || closing.remainder.is_some()
         || closing.input_coherent_share.is_some()
         || !closing.evidence.is_empty()
+        || closing.generic.is_some()
 }
 
 /// The subsection.
@@ -34,6 +35,25 @@ pub(super) fn rest(closing: &Closing) -> Markup {
         @if !closing.bounds.is_empty() { (bounds(&closing.bounds)) }
         @if !closing.evidence.is_empty() { (evidence(&closing.evidence)) }
         @if let Some(remainder) = &closing.remainder { (structure(remainder)) }
+        @if let Some(generic) = &closing.generic { (without_a_name(generic)) }
+    }
+}
+
+fn without_a_name(generic: &Generic) -> Markup {
+    html! {
+        p { "Nothing that has a name explains the records. Corrections " b { "without physical meaning" }
+            ", fitted and chosen on training and validation events and judged on held-out ones:" }
+        div.scroll { table {
+            caption { "Median NRMSE (%) over held-out events." }
+            thead { tr { th { "Model" } th.n { "Without" } th.n { "With" } } }
+            tbody { @for (name, [without, with]) in &generic.models {
+                tr { td { (name) } td.n { (number::optional(*without, 1)) } td.n { (number::optional(*with, 1)) } }
+            } }
+        } }
+        ul {
+            @for change in &generic.changes { (claim(change)) }
+            @for note in &generic.notes { li { (note) } }
+        }
     }
 }
 

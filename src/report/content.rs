@@ -7,7 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::closing_content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder, SensorEvidence,
+    Bound, Candidate, Change, Closing, ErrorRow, Generic, Interval, Model, NamedEffect, Remainder, SensorEvidence,
 };
 
 /// The whole report of one site.

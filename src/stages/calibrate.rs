@@ -4,7 +4,9 @@ use super::instrument::{Concern, Instrument, by_event, narrow};
 use super::{dataset, records};
 use crate::dataset::{Coarse, Normalisation};
 use crate::error::{Error, Result};
-use crate::flare::{CalibrateSettings, Data, Event, Metric, SourceModel, SparseEncoder, calibrate};
+use crate::flare::{
+    self, CalibrateSettings, Case, Data, Event, Metric, Observation, SourceModel, SparseEncoder, calibrate,
+};
 use crate::manifest::SensorsSection;
 use crate::pipeline::{Stage, Task};
 use crate::records::{Record, Split};
@@ -26,17 +28,7 @@ impl Stage for Calibrate {
     }
 
     fn reads(&self) -> &'static [&'static str] {
-        // Not `records.test`: what is held out is not even opened here.
-        &[
-            "calibrate",
-            "sensors",
-            "site.depth_m",
-            "effects",
-            "records.format",
-            "records.components",
-            "records.train",
-            "records.validation",
-        ]
+        READS
     }
 
     fn narrow(&self, parameters: &mut toml::Table) {
@@ -44,12 +36,49 @@ impl Stage for Calibrate {
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
+        let bench = Bench::of(task)?;
+        let checkpoint_dir = Some(task.checkpoint_dir()?);
+        let Bench { model, encoder, observation, settings, .. } = &bench;
+        let found = calibrate(model, encoder, observation, &bench.data(), settings, checkpoint_dir, task.progress())?;
+        found.save(task.output_dir(), &model.shape)?;
+        found.history.save(&task.output_dir().join("history.csv"))
+    }
+}
+
+/// Sections that [`Bench::of`] needs of the stage that asks. Not `records.test`: what is held out is not even opened here.
+pub const READS: &[&str] = &[
+    "calibrate",
+    "sensors",
+    "site.depth_m",
+    "effects",
+    "records.format",
+    "records.components",
+    "records.train",
+    "records.validation",
+];
+
+/// Models and events of the component of a stage that has the inputs `dataset`, `pretrain`, `distill` and `records`.
+pub struct Bench {
+    pub settings: CalibrateSettings,
+    pub model: SourceModel,
+    pub normalisation: flare::Normalisation,
+    pub encoder: SparseEncoder,
+    pub observation: Observation,
+    simulations: Vec<Case>,
+    train: Vec<Event>,
+    validation: Vec<Event>,
+}
+
+impl Bench {
+    /// # Errors
+    /// When an input or a section is missing or damaged.
+    pub fn of(task: &Task<'_>) -> Result<Self> {
         let settings: CalibrateSettings = task.section("calibrate")?;
         let record_settings = records::settings_without_test(task)?;
         let sensors: SensorsSection = task.section("sensors")?;
-        let component = task.each().ok_or_else(|| Error::new("calibration needs `each = \"records.components\"`"))?;
+        let component = task.each().ok_or_else(|| Error::new("this stage needs `each = \"records.components\"`"))?;
         let card = dataset::card(task.input("dataset")?)?;
-        let (model, _) = SourceModel::load(task.input("pretrain")?)?;
+        let (model, normalisation) = SourceModel::load(task.input("pretrain")?)?;
         let (encoder, observation) = SparseEncoder::load(task.input("distill")?)?;
         let found = records::read(task.input("records")?, &record_settings, &sensors)?;
         let instrument = Instrument::of(task)?;
@@ -64,11 +93,12 @@ impl Stage for Calibrate {
             Metric::Field => dataset::cases(task.input("dataset")?, &card.train)?,
             Metric::Coefficients => Vec::new(),
         };
-        let data = Data { simulations: &simulations, train: &train, validation: &validation };
-        let checkpoint_dir = Some(task.checkpoint_dir()?);
-        let calibration = calibrate(&model, &encoder, &observation, &data, &settings, checkpoint_dir, task.progress())?;
-        calibration.save(task.output_dir(), &model.shape)?;
-        calibration.history.save(&task.output_dir().join("history.csv"))
+        Ok(Self { settings, model, normalisation, encoder, observation, simulations, train, validation })
+    }
+
+    /// What the component is calibrated on.
+    pub fn data(&self) -> Data<'_> {
+        Data { simulations: &self.simulations, train: &self.train, validation: &self.validation }
     }
 }
 

@@ -2,7 +2,8 @@
 
 use super::artifact::{read_json, write_json};
 use super::evaluate::{self, Axis, Evaluation};
-use super::{correct, diagnose, records, replay};
+use super::generic::{Channel, Generic};
+use super::{correct, diagnose, extend, records, replay};
 use crate::diagnosis::{self, Change, Diagnosis, ErrorRow, Six, Summary, Verdict, noise_deviation_m_s2};
 use crate::effects::Class;
 use crate::error::Result;
@@ -39,6 +40,8 @@ pub struct Loop {
     pub errors: Vec<ErrorRow>,
     /// What the held-out events say.
     pub summary: Summary,
+    /// Where the verdict is unknown: corrections that are no physics.
+    pub generic: Option<Generic>,
     /// Remarks for people.
     pub notes: Vec<String>,
 }
@@ -79,7 +82,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -88,6 +91,7 @@ impl Stage for Compare {
             "analysis.output_step_s",
             "pretrain.step_s",
             "diagnose.seed",
+            "diagnose.band_hz",
             "records.format",
             "records.components",
             "records.train",
@@ -107,14 +111,30 @@ impl Stage for Compare {
         let passes = Passes::read(task, !correct::correction(&diagnosis).is_empty())?;
         let mut errors = Vec::new();
         let mut ablation = Vec::new();
+        let mut channels = Vec::new();
         for (split, record) in records::read(task.input("records")?, &settings, &sensors)?.records {
             errors.extend(passes.errors(&record, split)?);
             ablation.extend(record.outputs.iter().map(|s| passes.ablation(&record, &s.name)));
+            channels.extend(passes.channels(&record, split)?);
         }
-        let summary = Summary::of(&errors, &ablation, task.section("diagnose.seed")?);
+        let seed = task.section("diagnose.seed")?;
+        let summary = Summary::of(&errors, &ablation, seed);
         let mut notes = diagnosis.notes.clone();
         notes.extend(summary.changes.iter().map(claim));
-        write_json(&task.output_dir().join(FILE), &Loop::new(&diagnosis, errors, summary, notes))
+        let mut generic = None;
+        if diagnosis.verdict == Verdict::Unknown {
+            let terms = if task.has_input("extension") {
+                let read = |(component, folder): (&str, &Path)| Ok((component.to_string(), extend::read(folder)?));
+                task.inputs("extension")?.map(read).collect::<Result<_>>()?
+            } else {
+                BTreeMap::new()
+            };
+            let found = Generic::of(&channels, passes.axis.step_s, task.section("diagnose.band_hz")?, terms, seed);
+            notes.extend(found.notes());
+            notes.extend(found.changes.iter().map(|change| format!("without physical meaning: {}", claim(change))));
+            generic = Some(found);
+        }
+        write_json(&task.output_dir().join(FILE), &Loop { generic, ..Loop::new(&diagnosis, errors, summary, notes) })
     }
 }
 
@@ -142,6 +162,7 @@ impl Loop {
             input_coherent_share: diagnosis.input_coherent_share,
             errors,
             summary,
+            generic: None,
             notes,
         }
     }
@@ -152,6 +173,8 @@ struct Passes<'a> {
     before: Option<Evaluation>,
     after: Option<Evaluation>,
     ablation: Option<Evaluation>,
+    /// With more terms in the latent equations.
+    extended: Option<Evaluation>,
     axis: Axis,
     output_step_s: f64,
     /// Replays of the manifest as declared, recalibrated and, where something was corrected, corrected.
@@ -170,6 +193,7 @@ impl<'a> Passes<'a> {
             before,
             after: evaluation("after", is_corrected)?.map(|(e, _)| e),
             ablation: evaluation("ablation", is_corrected)?.map(|(e, _)| e),
+            extended: evaluation("extended", true)?.map(|(e, _)| e),
             axis: match axis {
                 Some(axis) => axis,
                 None => Axis { start_s: 0.0, step_s: task.section("pretrain.step_s")? },
@@ -179,6 +203,28 @@ impl<'a> Passes<'a> {
             recalibrated: task.input("recalibrated")?,
             corrected: is_corrected.then(|| task.input("corrected")).transpose()?,
         })
+    }
+
+    /// The best that there is without a correction that is no physics, and with one in FLARE-T.
+    fn channels(&self, record: &Record, split: Split) -> Result<Vec<Channel>> {
+        let observed = self.axis.of_record(record);
+        let replayed = replay::read(self.corrected.unwrap_or(self.recalibrated), &record.event, &record.component)?;
+        let fe = replayed.and_then(|h| self.axis.of_replay(&h, self.output_step_s, &observed));
+        let of = |(j, observed): (usize, Vec<f64>)| {
+            let sensor = record.outputs[j].name.clone();
+            let flare = |e: &Option<Evaluation>| nrmse(e.as_ref()?, record, &sensor)?.flare_t;
+            let plain = if self.after.is_some() { &self.after } else { &self.before };
+            Channel {
+                event: record.event.clone(),
+                component: record.component.clone(),
+                split,
+                observed,
+                fe: fe.as_ref().map(|h| h[j].clone()),
+                flare_t: [flare(plain), flare(&self.extended)],
+                sensor,
+            }
+        };
+        Ok(observed.into_iter().enumerate().map(of).collect())
     }
 
     fn errors(&self, record: &Record, split: Split) -> Result<Vec<ErrorRow>> {
@@ -250,6 +296,8 @@ pub struct Compared {
     pub errors: Vec<ErrorRow>,
     /// What the held-out events say.
     pub summary: Summary,
+    /// Corrections that are no physics, where they were asked for.
+    pub generic: Option<Generic>,
 }
 
 /// What that stage left in `folder`.

@@ -8,6 +8,8 @@ mod dataset;
 mod diagnose;
 mod distill;
 mod evaluate;
+mod extend;
+mod generic;
 mod instrument;
 mod motions;
 mod null_twins;
@@ -45,6 +47,7 @@ pub const STAGES: &[&dyn Stage] = &[
     &diagnose::Diagnose,
     &correct::Recalibrate,
     &correct::Correct,
+    &extend::Extend,
     &compare::Compare,
     &twins::TwinThresholds,
     &twins::Twins,

@@ -1,6 +1,7 @@
 //! The calibrated model of one component, ready to predict events in physical units.
 
 use super::dataset::{self, Card};
+use super::extend::SOURCE;
 use crate::error::{Error, Result};
 use crate::flare::{self, Calibration, Observation, SourceModel, SparseEncoder};
 use std::path::Path;
@@ -15,12 +16,14 @@ pub struct Predictor {
 }
 
 impl Predictor {
-    /// Loads the outputs of the stages `dataset`, `pretrain`, `distill` and `calibrate`.
+    /// Loads the outputs of the stages `dataset`, `pretrain`, `distill` and `calibrate`; instead of the last that of `extend`, which has
+    /// a source model of its own.
     ///
     /// # Errors
     /// When a checkpoint cannot be read.
     pub fn load(dataset: &Path, pretrain: &Path, distill: &Path, calibrate: &Path) -> Result<Self> {
-        let (model, _) = SourceModel::load(pretrain)?;
+        let own = calibrate.join(SOURCE);
+        let (model, _) = SourceModel::load(if own.is_dir() { &own } else { pretrain })?;
         let (encoder, observation) = SparseEncoder::load(distill)?;
         let calibration = Calibration::load(calibrate, &model.shape)?;
         Ok(Self { card: dataset::card(dataset)?, model, encoder, observation, calibration })

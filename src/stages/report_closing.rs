@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::pipeline::Task;
 use crate::records::Split;
 use crate::report::content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect, Remainder, SensorEvidence,
+    Bound, Candidate, Change, Closing, ErrorRow, Generic, Interval, Model, NamedEffect, Remainder, SensorEvidence,
 };
 use crate::units::G_M_S2;
 
@@ -32,13 +32,18 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
         is_held_out: row.split == Split::Test,
         nrmse_percent: list(&row.nrmse_percent),
     });
-    let changes = summary.changes.iter().map(|c| Change {
-        from: c.from.clone(),
-        to: c.to.clone(),
-        median_points: c.median_points,
-        ci95_points: c.ci95_points,
-        is_improved: c.is_improved,
-        n_event: c.n_event,
+    let generic = found.generic.as_ref().map(|g| {
+        let of = g.test_median_nrmse_percent;
+        let models = [
+            ("Finite elements, a smooth factor for each sensor", [of.fe, of.fe_generic]),
+            ("FLARE-T, more terms in the latent equations", [of.flare_t, of.flare_t_generic]),
+        ];
+        let models = models.into_iter().filter(|(_, [_, with])| with.is_some());
+        Generic {
+            models: models.map(|(name, medians)| (name.to_string(), medians)).collect(),
+            changes: g.changes.iter().map(change).collect(),
+            notes: g.notes(),
+        }
     });
     let alarms = diagnosis.tolerance_alarms.iter();
     Ok(Some(Closing {
@@ -53,17 +58,29 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
             .collect(),
         errors: errors.collect(),
         ablation_percent: summary.test_median_ablation_percent,
-        changes: changes.collect(),
+        changes: summary.changes.iter().map(change).collect(),
         out_of_tolerance: alarms.map(|a| (a.what.clone(), a.deviations, interval(&a.estimate))).collect(),
         bounds: bounds(&diagnosis),
         remainder: remainder(&diagnosis),
         evidence: sensor_evidence(&diagnosis),
+        generic,
         notes: diagnosis.notes,
     }))
 }
 
 const NAMES: [&str; 6] =
     ["FE declared", "FE recalibrated", "FE corrected", "FLARE-T before", "FLARE-T after", "Noise floor"];
+
+fn change(c: &crate::diagnosis::Change) -> Change {
+    Change {
+        from: c.from.clone(),
+        to: c.to.clone(),
+        median_points: c.median_points,
+        ci95_points: c.ci95_points,
+        is_improved: c.is_improved,
+        n_event: c.n_event,
+    }
+}
 
 fn list<T: Copy>(six: &Six<T>) -> Vec<T> {
     six.named().iter().map(|(_, value)| **value).collect()

@@ -295,6 +295,11 @@ fn closing() -> Closing {
                 generic: (*depth == 0.0).then_some([0.08, 0.05]),
             })
             .collect(),
+        generic: Some(Generic {
+            models: vec![("Finite elements, a smooth factor for each sensor".into(), [Some(40.0), Some(31.0)])],
+            changes: vec![change("fe", "fe_generic", -7.0, true)],
+            notes: vec!["no more terms in the latent equations of EW hold up on the validation events".into()],
+        }),
         notes: vec!["Two of twelve records have a quiet stretch before the event.".into()],
     }
 }
