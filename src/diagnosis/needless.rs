@@ -19,6 +19,8 @@ use crate::progress::Progress;
 /// Share of the gain of an effect below which nothing else is an effect of its own: described to a tenth of what it does to the
 /// motions, an effect leaves a hundredth of what it gained.
 const DETAIL: f64 = 0.01;
+/// The same for an effect in doubt: no column does to motions what an effect does to better than a hundredth.
+const EXACTNESS: f64 = 1e-4;
 /// Share of the typical size of an effect below which it is in doubt.
 const SMALL: f64 = 0.1;
 /// Most replays of a model without one of its effects.
@@ -161,9 +163,10 @@ impl Search<'_> {
         if without.excess() <= 0.0 && !without.is_strained() && self.is_doubtful(path, index) {
             return true;
         }
-        let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
-        let least = least_gain(others.map(|(_, f)| f.gain), &path.corrected, thresholds);
-        path.fall(without) - self.charge() * parameters(own) < least
+        let others = || path.accepted.iter().enumerate().filter(|(i, _)| *i != index).map(|(_, f)| f.gain);
+        let gain = path.fall(without) - self.charge() * parameters(own);
+        let is_detail = || gain < EXACTNESS * others().fold(0.0, f64::max) && self.is_doubtful(path, index);
+        gain < least_gain(others(), &path.corrected, thresholds) || is_detail()
     }
 }
 
