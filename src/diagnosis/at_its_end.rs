@@ -7,7 +7,6 @@ use super::responses::Scene;
 use super::search::{Model, Search};
 use super::settings::DiagnoseSettings;
 use super::settling::MAX_ANCHORS;
-use super::stand_ins::PROMISING;
 use crate::error::Result;
 use crate::progress::Progress;
 
@@ -50,8 +49,7 @@ impl Search<'_> {
         let kinds: Vec<&str> =
             (0..self.nuisances.len()).filter(|n| is_far(*n)).map(|n| self.nuisances[n].instance.kind).collect();
         let Some(last) = model.effects.len().checked_sub(1).filter(|_| !kinds.is_empty()) else { return Ok(None) };
-        let found = self.stand_in((model, last), &kinds, anchor)?;
-        Ok(found.filter(|f| f.cost() < PROMISING * model.cost()))
+        self.stand_in((model, last), &kinds, anchor)
     }
 }
 

@@ -225,7 +225,7 @@ impl Search<'_> {
         progress: &dyn Progress,
     ) -> Result<bool> {
         let fitted = self.fair_round(path, (number, around_plain), progress)?;
-        let least = |f: &Fitted| least_gain(path.accepted.iter().map(|f| f.gain), &f.model, thresholds);
+        let least = |f: &Fitted| least_gain(path.accepted.iter().map(|f| f.gain), (&f.model, false), thresholds);
         // Where records are described to within noise, no detail of what was found is left for anything to describe.
         let is_alarm = |f: &&Fitted| {
             let [gain, on_validation] = if self.scene.is_stiff() {

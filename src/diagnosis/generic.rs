@@ -27,7 +27,7 @@ pub struct Pair {
 /// A smooth complex factor on what a model predicts for one sensor.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct GenericCorrection {
-    /// Band in which it differs from one, Hz.
+    /// Band in which it was fitted, Hz; beyond it the end values hold.
     pub band_hz: [f64; 2],
     /// Real and imaginary parts of the coefficients.
     pub coefficients: Vec<[f64; 2]>,
@@ -40,7 +40,7 @@ pub struct GenericCorrection {
 /// Fits the factor on `train` and chooses its stiffness on `validation`; `None` where it does not lower the residual there.
 ///
 /// ```text
-/// C(f) = 1 + Σ_b c_b φ_b(f)      φ_b cubic B-splines over the band, zero slope outside            (1)
+/// C(f) = 1 + Σ_b c_b φ_b(f)      φ_b cubic B-splines over the band, constant outside            (1)
 /// min over c of Σ_e Σ_f |Y − C Ŷ|²/P_e + λ Σ_b |c_b|²      P_e = Σ_f |Y|² of the event            (2)
 /// ```
 ///

@@ -160,21 +160,29 @@ impl Search<'_> {
             return self.plainer(without, &path.corrected, own) < thresholds.gain;
         }
         // Where nothing is left that asks for an effect, a small one has taken the place of tolerances.
-        if without.excess() <= 0.0 && !without.is_strained() && self.is_doubtful(path, index) {
+        let is_doubtful = self.is_doubtful(path, index);
+        if without.excess() <= 0.0 && !without.is_strained() && is_doubtful {
             return true;
         }
-        let others = || path.accepted.iter().enumerate().filter(|(i, _)| *i != index).map(|(_, f)| f.gain);
-        let gain = path.fall(without) - self.charge() * parameters(own);
-        let is_detail = || gain < EXACTNESS * others().fold(0.0, f64::max) && self.is_doubtful(path, index);
-        gain < least_gain(others(), &path.corrected, thresholds) || is_detail()
+        let others = path.accepted.iter().enumerate().filter(|(i, _)| *i != index);
+        let least = least_gain(others.map(|(_, f)| f.gain), (&path.corrected, is_doubtful), thresholds);
+        path.fall(without) - self.charge() * parameters(own) < least
     }
 }
 
 /// Least gain of an effect beside others with these `gains`, where the model `with` all of them is this: more than a detail of any of
-/// them could, unless nothing but noise is left, of which no detail is a part.
-pub(super) fn least_gain(gains: impl Iterator<Item = f64>, with: &Model, thresholds: &Thresholds) -> f64 {
-    let detail = if with.is_clean() { 0.0 } else { DETAIL * gains.fold(0.0, f64::max) };
-    thresholds.gain.max(detail)
+/// them could. Where nothing but noise is left, of which no detail is a part, only what is in doubt can be one.
+pub(super) fn least_gain(
+    gains: impl Iterator<Item = f64>,
+    (with, is_doubtful): (&Model, bool),
+    thresholds: &Thresholds,
+) -> f64 {
+    let detail = match (with.is_clean(), is_doubtful) {
+        (false, _) => DETAIL,
+        (true, true) => EXACTNESS,
+        (true, false) => 0.0,
+    };
+    thresholds.gain.max(detail * gains.fold(0.0, f64::max))
 }
 
 impl Path {
@@ -224,5 +232,33 @@ impl Path {
             index += 1;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{DT_S, judged};
+    use super::super::problem::NoiseSpectrum;
+    use super::*;
+    use crate::diagnosis::DiagnoseSettings;
+
+    #[test]
+    fn beside_a_large_effect_a_small_one_is_a_detail() {
+        let (validation_gain, excess, deviations) = (0.0, 3.0, 3.0);
+        let thresholds =
+            Thresholds { gain: 20.0, validation_gain, excess, deviations, twins: 20, null_gains: Vec::new() };
+        // Noise as it is, of which far more is left, and so much that nothing else is.
+        for (noise, doubtful, certain) in [(0.01, 1e4, 1e4), (100.0, 100.0, 20.0)] {
+            let mut problem = judged("");
+            problem.events.iter_mut().for_each(|e| e.noise = vec![NoiseSpectrum::white(noise, DT_S); 3]);
+            let settings = DiagnoseSettings::default();
+            let scene = Scene::new(&problem, &settings).unwrap();
+            let search = Search::new(&scene, &settings, None).unwrap();
+            let x = vec![0.0; search.nuisances.len()];
+            let model = search.settle(&[], &x, &Anchor::fast(&scene), None, 0).unwrap();
+            assert_eq!(model.is_clean(), noise > 1.0, "{:?}", model.surprise());
+            let least = |is_doubtful| least_gain([3.0, 1e6].into_iter(), (&model, is_doubtful), &thresholds);
+            assert_eq!([least(true), least(false)], [doubtful, certain]);
+        }
     }
 }

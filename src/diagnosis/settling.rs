@@ -15,8 +15,6 @@ const STEPS: [usize; 2] = [12, 6];
 pub(super) const MAX_ANCHORS: usize = 10;
 /// Replays in a row that end it by being no better than the best one.
 const MAX_FAILURES: usize = 3;
-/// Share of the cost that is not worth another replay.
-const LITTLE: f64 = 0.005;
 /// Hold on a fit after the first replay that did not keep what the fit promised, and its growth with each more.
 const HOLD: [f64; 2] = [10.0, 10.0];
 
@@ -101,17 +99,17 @@ impl Search<'_> {
             let before = best.as_ref().map_or(f64::INFINITY, |b| b.0.cost());
             let mut is_done = number == most;
             if seen.cost() < before {
-                is_done |= seen.cost() > (1.0 - LITTLE) * before
-                    || (number > 1 && seen.cost() > (2.0 * at_stake).max(0.5 * before));
+                is_done |=
+                    seen.cost() > 0.995 * before || (number > 1 && seen.cost() > (2.0 * at_stake).max(0.5 * before));
                 hold = loosened(hold);
                 best = Some((seen, next));
                 failures = 0;
-            } else if let Some((best, anchor)) = &mut best {
+            } else if let Some((_, anchor)) = &mut best {
                 // Not what was promised: what this replay has told keeps the next step from going there.
                 anchor.secants.learn(&next.secants);
                 hold = tightened(hold);
                 failures += 1;
-                is_done |= failures == MAX_FAILURES || best.train.cost - expected < LITTLE * best.cost();
+                is_done |= failures == MAX_FAILURES;
             }
             if is_done {
                 break;

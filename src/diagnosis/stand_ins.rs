@@ -15,7 +15,7 @@ use crate::progress::Progress;
 /// Steps of a fit.
 const STEPS: usize = 6;
 /// Cost, over that of the answer, up to which another is worth replays: what is far from the answer is not told well from there.
-pub(super) const PROMISING: f64 = 2.0;
+const PROMISING: f64 = 2.0;
 /// Cost, over that of the answer, up to which another is looked at closely.
 const NEAR: f64 = 1.5;
 
@@ -73,8 +73,7 @@ impl Search<'_> {
         for kind in effects::find(model.effects[index].kind)?.catalogue.confused_with {
             promising.extend(self.stand_in((model, index), &[kind], &path.anchor)?);
         }
-        // What needs farther tolerances here needs them there, too.
-        promising.retain(|m| m.cost() < PROMISING * model.cost() && !is_bought(m, model));
+        promising.retain(|m| m.cost() < PROMISING * model.cost());
         Ok(promising)
     }
 

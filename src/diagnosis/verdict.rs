@@ -102,7 +102,7 @@ fn unnamed(evidence: &Evidence, verdict: Verdict) -> Option<String> {
         evidence.generic.values().fold([0.0, 0.0], |sum, c| [sum[0] + c.validation[0], sum[1] + c.validation[1]]);
     (verdict == Verdict::Unknown && before > 0.0).then(|| {
         format!(
-            "a smooth factor for each sensor, which is no physics, would take {:.0} % of the residual's power off the validation events",
+            "a smooth factor for each sensor, which is no physics, would take {:.0} % off what this model leaves of the validation events' power",
             100.0 * (1.0 - after / before)
         )
     })

@@ -33,7 +33,7 @@ use super::history::History;
 use super::model::{SourceModel, SparseEncoder};
 use super::observation::Observation;
 use super::penalty::Penalty;
-use super::settings::{CalibrateSettings, Metric, Solver};
+use super::settings::{CalibrateSettings, Solver};
 use super::snapshot::Fingerprint;
 use crate::error::{Error, Result};
 use crate::progress::Progress;
@@ -93,10 +93,7 @@ pub fn calibrate(
     let validation = Records::new(encoder, &reader, data.validation, settings.amplitude_weighting, bound);
     let origin = model.coefficients();
     let start = Candidate { xi: origin.to_vec(), mask: model.mask.clone(), validation: validation.error(origin, None) };
-    let penalty = match settings.metric {
-        Metric::Coefficients => Penalty::coefficients(model),
-        Metric::Field => Penalty::field(model, data.simulations),
-    };
+    let penalty = Penalty::of(settings.metric, model, data.simulations);
     let library = model.shape.library();
     let problem = Problem { train: &train, validation: &validation, penalty: &penalty, library, settings };
     let print = Fingerprint::new("flare-pipe calibration v1")
@@ -195,7 +192,7 @@ pub(super) mod tests {
     use crate::flare::mlp::Tape;
     use crate::flare::model::Shape;
     use crate::flare::rollout::{observe, predict};
-    use crate::flare::{DistillSettings, PretrainSettings};
+    use crate::flare::{DistillSettings, Metric, PretrainSettings};
     use crate::numerics::random::stream;
     use rand::RngExt;
 
@@ -218,7 +215,7 @@ pub(super) mod tests {
         with_hidden(0)
     }
 
-    fn with_hidden(hidden: usize) -> (SourceModel, SparseEncoder, Observation) {
+    pub fn with_hidden(hidden: usize) -> (SourceModel, SparseEncoder, Observation) {
         let settings = PretrainSettings {
             latent: 3,
             hidden,

@@ -27,9 +27,9 @@ use faer::{Mat, Side};
 pub(super) const FIRST_DAMPING: f64 = 1.0;
 const DAMPING: (f64, f64) = (1e-6, 1e8);
 /// A rung ends when a step lowers the objective by less than this share.
-const SMALLEST_GAIN: f64 = 5e-3;
+pub(super) const SMALLEST_GAIN: f64 = 5e-3;
 /// Rungs in a row without a better validation that end a walk.
-const PATIENCE: usize = 3;
+pub(super) const PATIENCE: usize = 3;
 
 /// Columns of the history.
 const COLUMNS: [&str; 8] = ["step", "total", "observation", "penalty", "terms", "validation", "weight", "free"];

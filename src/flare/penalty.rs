@@ -17,6 +17,7 @@ use super::case::Case;
 use super::kernels::{LANES, Lanes};
 use super::mlp::{product, view, view_mut};
 use super::model::SourceModel;
+use super::settings::Metric;
 use faer::{Accum, Mat};
 use rayon::prelude::*;
 
@@ -31,6 +32,14 @@ pub struct Penalty {
 }
 
 impl Penalty {
+    /// The penalty of that `metric`; only the field looks at the `simulations`.
+    pub fn of(metric: Metric, model: &SourceModel, simulations: &[Case]) -> Self {
+        match metric {
+            Metric::Coefficients => Self::coefficients(model),
+            Metric::Field => Self::field(model, simulations),
+        }
+    }
+
     /// The published metric.
     pub fn coefficients(model: &SourceModel) -> Self {
         Self::new(model, None)

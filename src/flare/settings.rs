@@ -248,11 +248,11 @@ pub struct CalibrateSettings {
     pub final_rate_share: f64,
     /// Adam: λ_Δ, weight of the relative size of the correction.
     pub penalty: f64,
-    /// Gauss–Newton: values of λ_Δ tried one after the other, falling; the validation events choose.
+    /// Gauss–Newton, and more terms without a name: values of λ_Δ tried one after the other, falling; the validation events choose.
     pub penalty_ladder: Vec<f64>,
     /// Gauss–Newton: which terms may move, tried one after the other; the validation events choose.
     pub free_terms: Vec<FreeTerms>,
-    /// Gauss–Newton: most steps for one value of λ_Δ; thresholding follows.
+    /// The same: most steps for one value of λ_Δ; thresholding follows.
     pub steps: usize,
     /// Calibrated coefficients below this (per sample) are removed for good at each thresholding.
     pub threshold: f64,

@@ -109,20 +109,23 @@ impl Stage for Compare {
         let sensors: SensorsSection = task.section("sensors")?;
         let diagnosis = diagnose::read(task.input("diagnose")?)?;
         let passes = Passes::read(task, !correct::correction(&diagnosis).is_empty())?;
+        let is_unknown = diagnosis.verdict == Verdict::Unknown;
         let mut errors = Vec::new();
         let mut ablation = Vec::new();
         let mut channels = Vec::new();
         for (split, record) in records::read(task.input("records")?, &settings, &sensors)?.records {
             errors.extend(passes.errors(&record, split)?);
             ablation.extend(record.outputs.iter().map(|s| passes.ablation(&record, &s.name)));
-            channels.extend(passes.channels(&record, split)?);
+            if is_unknown {
+                channels.extend(passes.channels(&record, split)?);
+            }
         }
         let seed = task.section("diagnose.seed")?;
         let summary = Summary::of(&errors, &ablation, seed);
         let mut notes = diagnosis.notes.clone();
         notes.extend(summary.changes.iter().map(claim));
         let mut generic = None;
-        if diagnosis.verdict == Verdict::Unknown {
+        if is_unknown {
             let terms = if task.has_input("extension") {
                 let read = |(component, folder): (&str, &Path)| Ok((component.to_string(), extend::read(folder)?));
                 task.inputs("extension")?.map(read).collect::<Result<_>>()?

@@ -64,12 +64,12 @@ impl Stage for Extend {
             let sight = (&bench.encoder, &bench.observation);
             extend(&bench.model, &calibration, sight, &bench.data(), &bench.settings, task.progress())
         } else {
-            Extension { model: bench.model.clone(), calibration, taken: None, tried: Vec::new() }
+            Extension::none(&bench.model, &calibration, Vec::new())
         };
         let source = task.output_dir().join(SOURCE);
         fs::create_dir_all(&source).context(|| format!("cannot make `{}`", source.display()))?;
-        found.model.save(&source, &bench.normalisation)?;
-        found.calibration.save(task.output_dir(), &found.model.shape)?;
+        found.source.save(&source, &bench.normalisation)?;
+        found.calibration.save(task.output_dir(), &found.source.shape)?;
         let validation = [before, found.calibration.validation_error];
         let outcome = Outcome { is_asked, taken: found.taken, validation, tried: found.tried };
         write_json(&task.output_dir().join(FILE), &outcome)

@@ -16,7 +16,8 @@ use std::collections::BTreeMap;
 /// Highest frequency of a factor, as a share of the Nyquist frequency.
 const HIGHEST: f64 = 0.95;
 
-/// One value each for the two models without and with such a correction; `None` where there is none.
+/// NRMSE of the two models without and with such a correction, %; `None` where there is none. Medians are over the channels that have
+/// both.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Four {
     /// Finite elements, corrected where something was named and recalibrated where not.
@@ -31,12 +32,17 @@ pub struct Four {
 
 /// One channel: a sensor in one component of one event, on the axis of the evaluation.
 pub struct Channel {
+    /// Event.
     pub event: String,
+    /// Component.
     pub component: String,
+    /// Sensor.
     pub sensor: String,
+    /// What the event was used for.
     pub split: Split,
-    /// Record and prediction of the finite elements, m/s².
+    /// The record, m/s².
     pub observed: Vec<f64>,
+    /// What the finite elements predict, m/s².
     pub fe: Option<Vec<f64>>,
     /// NRMSE of FLARE-T without and with more terms, %.
     pub flare_t: [Option<f64>; 2],
@@ -72,6 +78,8 @@ pub struct Generic {
     pub test_median_nrmse_percent: Four,
     /// Paired differences over held-out events.
     pub changes: Vec<Change>,
+    /// Held-out channels that FLARE-T predicts and, with more terms, does not: its state leaves its bounds.
+    pub n_diverged: usize,
 }
 
 impl Generic {
@@ -97,51 +105,79 @@ impl Generic {
                 factors.insert(sensor.to_string(), factor);
             }
         }
-        let errors: Vec<Row> = channels.iter().map(|c| row(c, factors.get(&c.sensor), step_s)).collect();
+        let errors: Vec<Row> = channels.iter().map(|c| row(c, factors.get(&c.sensor), &terms, step_s)).collect();
         let held_out = || errors.iter().filter(|r| r.split == Split::Test);
-        let middle = |value: fn(&Four) -> Option<f64>| {
-            let values: Vec<f64> = held_out().filter_map(|r| value(&r.nrmse_percent)).collect();
-            (!values.is_empty()).then(|| median(&values))
-        };
-        let change = |from: &str, to: &str, value: fn(&Four) -> Option<f64>| {
-            Change::of(held_out().map(|r| (r.event.as_str(), value(&r.nrmse_percent))), from, to, seed)
-        };
-        let is_extended = terms.values().any(|outcome| outcome.taken.is_some());
-        let with_factors = change("fe", "fe_generic", |e| Some(e.fe_generic? - e.fe?)).filter(|_| !factors.is_empty());
-        let with_terms =
-            change("flare_t", "flare_t_generic", |e| Some(e.flare_t_generic? - e.flare_t?)).filter(|_| is_extended);
-        Self {
-            is_physical: false,
-            terms,
-            test_median_nrmse_percent: Four {
-                fe: middle(|e| e.fe),
-                fe_generic: middle(|e| e.fe_generic),
-                flare_t: middle(|e| e.flare_t),
-                flare_t_generic: middle(|e| e.flare_t_generic),
-            },
-            changes: with_factors.into_iter().chain(with_terms).collect(),
-            factors,
-            errors,
+        let mut medians = Four::default();
+        let mut changes = Vec::new();
+        for (without, with) in [("fe", "fe_generic"), ("flare_t", "flare_t_generic")] {
+            let of = |row: &Row| {
+                let e = row.nrmse_percent;
+                if without == "fe" { e.fe.zip(e.fe_generic) } else { e.flare_t.zip(e.flare_t_generic) }
+            };
+            let both: Vec<(f64, f64)> = held_out().filter_map(of).collect();
+            if both.is_empty() {
+                continue;
+            }
+            let (plain, generic): (Vec<f64>, Vec<f64>) = both.into_iter().unzip();
+            let found = (Some(median(&plain)), Some(median(&generic)));
+            match without {
+                "fe" => (medians.fe, medians.fe_generic) = found,
+                _ => (medians.flare_t, medians.flare_t_generic) = found,
+            }
+            let differences = held_out().map(|r| (r.event.as_str(), of(r).map(|(plain, generic)| generic - plain)));
+            changes.extend(Change::of(differences, without, with, seed));
         }
+        let mut found = Self {
+            is_physical: false,
+            factors,
+            test_median_nrmse_percent: medians,
+            changes,
+            n_diverged: channels.iter().filter(|c| c.split == Split::Test && is_diverged(c, &terms)).count(),
+            terms,
+            errors,
+        };
+        // What predicts nothing of some events improves on nothing.
+        let with_terms = found.changes.iter_mut().filter(|c| c.to == "flare_t_generic");
+        with_terms.for_each(|c| c.is_improved &= found.n_diverged == 0);
+        found
     }
 
     /// What was found, for people.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if self.factors.is_empty() {
-            notes.push("no smooth factor for any sensor helps the validation events".to_string());
+            notes.push("no smooth factor on the replays helps the validation events at any sensor".to_string());
         }
-        for (component, outcome) in &self.terms {
-            let [before, after] = outcome.validation;
-            notes.push(match &outcome.taken {
-                Some(terms) => format!(
-                    "more terms in the latent equations of {component} ({terms}): error of the validation events {before:.4} → {after:.4}"
+        for (component, Outcome { taken, validation: [before, after], tried, .. }) in &self.terms {
+            let stable = tried.iter().find_map(|t| Some((t, t.stability?)));
+            let found = match (taken, stable) {
+                (Some(terms), _) => format!("{terms}: error of the validation events {before:.4} → {after:.4}"),
+                (None, Some((t, stability))) => format!(
+                    "none; {} would lower the error of the validation events, {before:.4} → {:.4}, but does so in only {:.0} % of the fits with a training event left out, or not with every validation event left out",
+                    t.terms,
+                    t.validation_error,
+                    100.0 * stability
                 ),
-                None => format!("no more terms in the latent equations of {component} hold up on the validation events"),
-            });
+                (None, None) if tried.is_empty() => "none, there are too few training events".to_string(),
+                (None, None) => "none, no group of them helps the validation events".to_string(),
+            };
+            notes.push(format!("more terms in the latent equations of {component}: {found}"));
+        }
+        if self.n_diverged > 0 {
+            notes.push(format!("with more terms FLARE-T diverges in {} held-out channels", self.n_diverged));
         }
         notes
     }
+}
+
+/// Whether the component of `channel` has more terms.
+fn is_extended(channel: &Channel, terms: &BTreeMap<String, Outcome>) -> bool {
+    terms.get(&channel.component).is_some_and(|outcome| outcome.taken.is_some())
+}
+
+/// Whether these terms lead to no prediction where there was one.
+fn is_diverged(channel: &Channel, terms: &BTreeMap<String, Outcome>) -> bool {
+    is_extended(channel, terms) && channel.flare_t[0].is_some() && channel.flare_t[1].is_none()
 }
 
 /// Spectra of prediction and record in the band.
@@ -157,23 +193,24 @@ fn pair(channel: &Channel, step_s: f64, band_hz: [f64; 2]) -> Option<Pair> {
     })
 }
 
-fn row(channel: &Channel, factor: Option<&GenericCorrection>, step_s: f64) -> Row {
+fn row(channel: &Channel, factor: Option<&GenericCorrection>, terms: &BTreeMap<String, Outcome>, step_s: f64) -> Row {
+    let nrmse = |predicted: &Vec<f64>| evaluate::nrmse(predicted, &channel.observed);
     let fe = channel.fe.as_ref();
-    let corrected = fe.map(|fe| match factor {
-        Some(factor) => respond([fe], step_s, |f, [v]| [v * factor.factor(f)])[0].clone(),
-        None => fe.clone(),
+    let corrected = fe.zip(factor).map(|(fe, factor)| {
+        let [corrected] = respond([fe], step_s, |f, [v]| [v * factor.factor(f)]);
+        corrected
     });
-    let [flare_t, flare_t_generic] = channel.flare_t;
+    let [flare_t, extended] = channel.flare_t;
     Row {
         event: channel.event.clone(),
         component: channel.component.clone(),
         sensor: channel.sensor.clone(),
         split: channel.split,
         nrmse_percent: Four {
-            fe: fe.and_then(|fe| evaluate::nrmse(fe, &channel.observed)),
-            fe_generic: corrected.and_then(|fe| evaluate::nrmse(&fe, &channel.observed)),
+            fe: fe.and_then(nrmse),
+            fe_generic: corrected.as_ref().and_then(nrmse),
             flare_t,
-            flare_t_generic,
+            flare_t_generic: extended.filter(|_| is_extended(channel, terms)),
         },
     }
 }
@@ -214,7 +251,7 @@ mod tests {
         let found = generic(&channels(0.02, 0.7, 0.02));
         let Four { fe, fe_generic, flare_t, flare_t_generic } = found.test_median_nrmse_percent;
         assert!(fe.unwrap() > 30.0 && fe_generic.unwrap() < 0.35 * fe.unwrap(), "{fe:?} {fe_generic:?}");
-        assert_eq!((flare_t, flare_t_generic), (Some(30.0), None));
+        assert_eq!((flare_t, flare_t_generic), (None, None), "nothing to compare");
         let [change] = &found.changes[..] else { panic!("{:?}", found.changes) };
         assert!(change.is_improved && change.n_event == 2 && !found.is_physical);
     }
@@ -227,9 +264,47 @@ mod tests {
             channel.observed = channel.fe.clone().unwrap();
         }
         let found = generic(&channels);
-        assert!(found.changes.iter().all(|c| !c.is_improved && c.median_points > 0.0), "{:?}", found.changes);
+        let [change] = &found.changes[..] else { panic!("{:?}", found.changes) };
+        assert!(!change.is_improved && change.median_points > 0.0, "{change:?}");
         // The fit has not looked at them.
         let others: Vec<Channel> = channels.into_iter().filter(|c| c.split != Split::Test).collect();
         assert_eq!(generic(&others).factors, found.factors);
+    }
+
+    #[test]
+    fn what_has_no_correction_does_not_count() {
+        let mut both = channels(0.02, 0.7, 0.02);
+        // At another sensor nothing helps: what was wrong on training events is wrong the other way on the others.
+        let mut other = channels(0.0, 0.5, 0.02);
+        for channel in other.iter_mut().filter(|c| c.split != Split::Train) {
+            channel.observed = channel.fe.iter().flatten().map(|x| 2.0 * x).collect();
+        }
+        both.extend(other.into_iter().map(|c| Channel { sensor: "T".into(), ..c }));
+        let [found, alone] = [generic(&both), generic(&channels(0.02, 0.7, 0.02))];
+        assert_eq!(found.factors.keys().collect::<Vec<_>>(), ["S"]);
+        assert_eq!(found.changes[0], alone.changes[0]);
+        assert_eq!(found.test_median_nrmse_percent, alone.test_median_nrmse_percent);
+        assert!(found.errors.iter().all(|r| (r.sensor == "S") == r.nrmse_percent.fe_generic.is_some()));
+    }
+
+    #[test]
+    fn a_correction_that_diverges_on_a_held_out_event_improves_nothing() {
+        let taken = Outcome { is_asked: true, taken: Some("more".into()), validation: [0.2, 0.1], tried: Vec::new() };
+        let terms = BTreeMap::from([("EW".to_string(), taken)]);
+        let mut channels = channels(0.0, 1.0, 0.02);
+        let of = |channels: &[Channel]| Generic::of(channels, DT_S, [0.2, 9.5], terms.clone(), 1);
+        channels.iter_mut().for_each(|c| c.flare_t = [Some(30.0), Some(20.0)]);
+        let is_improved = |g: &Generic| g.changes.iter().find(|c| c.to == "flare_t_generic").unwrap().is_improved;
+        assert!(is_improved(&of(&channels)));
+        let last = channels.len() - 1;
+        let observed = channels[last].observed.clone();
+        let (event, component, sensor) = ("E9".to_string(), "EW".to_string(), "S".to_string());
+        let flare_t = [Some(30.0), None];
+        channels.push(Channel { event, component, sensor, split: Split::Test, observed, fe: None, flare_t });
+        let found = of(&channels);
+        assert!(!is_improved(&found) && found.n_diverged == 1 && found.notes().last().unwrap().contains("diverges"));
+        // A component without more terms is no part of it.
+        let without = Generic::of(&channels, DT_S, [0.2, 9.5], BTreeMap::new(), 1);
+        assert!(without.errors.iter().all(|r| r.nrmse_percent.flare_t_generic.is_none()) && without.n_diverged == 0);
     }
 }
