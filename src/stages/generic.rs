@@ -107,39 +107,31 @@ impl Generic {
         }
         let errors: Vec<Row> = channels.iter().map(|c| row(c, factors.get(&c.sensor), &terms, step_s)).collect();
         let held_out = || errors.iter().filter(|r| r.split == Split::Test);
-        let mut medians = Four::default();
-        let mut changes = Vec::new();
-        for (without, with) in [("fe", "fe_generic"), ("flare_t", "flare_t_generic")] {
-            let of = |row: &Row| {
-                let e = row.nrmse_percent;
-                if without == "fe" { e.fe.zip(e.fe_generic) } else { e.flare_t.zip(e.flare_t_generic) }
-            };
-            let both: Vec<(f64, f64)> = held_out().filter_map(of).collect();
-            if both.is_empty() {
-                continue;
-            }
-            let (plain, generic): (Vec<f64>, Vec<f64>) = both.into_iter().unzip();
-            let found = (Some(median(&plain)), Some(median(&generic)));
-            match without {
-                "fe" => (medians.fe, medians.fe_generic) = found,
-                _ => (medians.flare_t, medians.flare_t_generic) = found,
-            }
-            let differences = held_out().map(|r| (r.event.as_str(), of(r).map(|(plain, generic)| generic - plain)));
-            changes.extend(Change::of(differences, without, with, seed));
+        // Medians without and with a correction, over the channels that have both, and what they allow to say.
+        let judged = |from: &str, to: &str, both: fn(&Four) -> Option<(f64, f64)>| {
+            let both = |r: &Row| both(&r.nrmse_percent);
+            let (plain, generic): (Vec<f64>, Vec<f64>) = held_out().filter_map(both).unzip();
+            let differences = held_out().map(|r| (r.event.as_str(), both(r).map(|(plain, generic)| generic - plain)));
+            Some(([median(&plain), median(&generic)], Change::of(differences, from, to, seed)?))
+        };
+        let fe = judged("fe", "fe_generic", |e| e.fe.zip(e.fe_generic));
+        let mut flare_t = judged("flare_t", "flare_t_generic", |e| e.flare_t.zip(e.flare_t_generic));
+        let n_diverged = channels.iter().filter(|c| c.split == Split::Test && is_diverged(c, &terms)).count();
+        if let Some((_, change)) = &mut flare_t {
+            // What predicts nothing of some events improves on nothing.
+            change.is_improved &= n_diverged == 0;
         }
-        let mut found = Self {
+        let [fe_plain, fe_generic] = [0, 1].map(|i| fe.as_ref().map(|(medians, _)| medians[i]));
+        let [flare_t_plain, flare_t_generic] = [0, 1].map(|i| flare_t.as_ref().map(|(medians, _)| medians[i]));
+        Self {
             is_physical: false,
             factors,
-            test_median_nrmse_percent: medians,
-            changes,
-            n_diverged: channels.iter().filter(|c| c.split == Split::Test && is_diverged(c, &terms)).count(),
+            test_median_nrmse_percent: Four { fe: fe_plain, fe_generic, flare_t: flare_t_plain, flare_t_generic },
+            changes: fe.into_iter().chain(flare_t).map(|(_, change)| change).collect(),
+            n_diverged,
             terms,
             errors,
-        };
-        // What predicts nothing of some events improves on nothing.
-        let with_terms = found.changes.iter_mut().filter(|c| c.to == "flare_t_generic");
-        with_terms.for_each(|c| c.is_improved &= found.n_diverged == 0);
-        found
+        }
     }
 
     /// What was found, for people.
