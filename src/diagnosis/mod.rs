@@ -51,6 +51,7 @@ mod power;
 mod problem;
 mod propagated;
 mod relaxed;
+mod remainder;
 mod repeatable;
 mod responses;
 mod round;

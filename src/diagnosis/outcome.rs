@@ -109,9 +109,16 @@ pub struct Remainder {
     pub edges_hz: Vec<f64>,
     /// `[sensor][band]` over all events.
     pub sensor_band: BTreeMap<String, Vec<f64>>,
+    /// `[sensor][phase]` over all events, phases being those of [`PHASES`].
+    #[serde(default)]
+    pub sensor_phase: BTreeMap<String, Vec<f64>>,
     /// By event and component, with the peak input acceleration in m/s².
     pub event: Vec<EventRemainder>,
 }
+
+/// Shares of the energy of the recorded input at which the phases of an event end: its beginning, its strong phase, what follows, and
+/// the coda.
+pub const PHASES: [f64; 4] = [0.05, 0.75, 0.95, 1.0];
 
 /// Remaining structure of one record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

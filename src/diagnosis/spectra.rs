@@ -187,7 +187,8 @@ pub fn history(bins: &[C64], first: usize, n: usize) -> Vec<f64> {
     out.iter().map(|x| x / n as f64).collect()
 }
 
-fn taper(i: usize, n: usize) -> f64 {
+/// Factor on sample `i` of `n` before the transform.
+pub(super) fn taper(i: usize, n: usize) -> f64 {
     let edge = (TAPER_SHARE * n as f64).max(1.0);
     let distance = (i.min(n - 1 - i) as f64 + 0.5) / edge;
     if distance >= 1.0 { 1.0 } else { 0.5 - 0.5 * (PI * distance).cos() }

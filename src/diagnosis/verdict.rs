@@ -2,20 +2,17 @@
 
 use super::evidence::{Evidence, evidence, input_coherent_share};
 use super::fit::Fitter;
-use super::outcome::{
-    Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound, Verdict,
-};
+use super::outcome::{Diagnosis, Estimate, Excess, Found, Thresholds, ToleranceAlarm, UpperBound, Verdict};
 use super::path::Path;
+use super::remainder::{remainder, strongest};
 use super::round::Fitted;
 use super::screen::{Marginal, derivative};
-use super::search::{Model, Search, square};
+use super::search::{Model, Search};
 use super::unknowns::nuisance_tables;
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use std::collections::BTreeMap;
 
-/// Edges of the bands of the remaining structure, Hz.
-const EDGES_HZ: [f64; 8] = [0.0, 0.5, 1.0, 2.0, 3.5, 5.0, 7.0, 100.0];
 /// Power of what is left, over noise's, above which it is not explained however much there was.
 pub(super) const KNOWN_LEVEL: f64 = 2.0;
 /// Share of the range of a parameter within which it is at its end.
@@ -55,6 +52,8 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
     let is_named = !path.accepted.is_empty();
     let evidence = evidence(search, corrected, &path.anchor)?;
     notes.extend(unnamed(&evidence, verdict));
+    let remainder = remainder(search, corrected);
+    notes.extend(strongest(&remainder, verdict));
     let input_coherent_share = input_coherent_share(search, &path.recalibrated);
     notes.extend(unfollowing(input_coherent_share, verdict));
     notes.extend(strained(corrected));
@@ -79,7 +78,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
         corrected: excess[2],
         tolerance_alarms: tolerance_alarms(search, corrected, &deviations, thresholds),
         upper_bounds,
-        remainder: remainder(search, corrected),
+        remainder,
         evidence,
         notes,
     })
@@ -295,48 +294,6 @@ fn upper_bounds(search: &Search<'_>, fitter: &Fitter<'_>, model: &Model) -> Vec<
         bounds.entry((bound.kind.clone(), bound.target.clone())).or_insert(bound);
     }
     bounds.into_values().collect()
-}
-
-/// Mean squared whitened residuals by sensor and band, and by record.
-fn remainder(search: &Search<'_>, model: &Model) -> Remainder {
-    let array = &search.scene.problem.array;
-    let bands = EDGES_HZ.len() - 1;
-    let mut sums = vec![vec![[0.0; 2]; bands]; array.outputs.len()];
-    let mut event = Vec::new();
-    for (groups, residual) in [(&search.train, &model.train.residual), (&search.validation, &model.validation.residual)]
-    {
-        let mut at = 0;
-        for g in groups {
-            let group = &search.scene.groups[*g];
-            let mut own = vec![[0.0; 2]; group.records.len()];
-            for f in &group.frequencies_hz {
-                let band = EDGES_HZ.iter().rposition(|e| f >= e).unwrap_or(0).min(bands - 1);
-                for own in &mut own {
-                    for sums in &mut sums {
-                        let power = square(&residual[at..at + 2]);
-                        at += 2;
-                        for sum in [&mut sums[band], &mut *own] {
-                            sum[0] += power;
-                            sum[1] += 2.0;
-                        }
-                    }
-                }
-            }
-            for (record, [power, count]) in group.records.iter().zip(own) {
-                let of = &search.scene.problem.events[record.event];
-                event.push(EventRemainder {
-                    event: of.name.clone(),
-                    component: array.components.get(of.component()).cloned().unwrap_or_default(),
-                    input_pga_m_s2: of.input.iter().fold(0.0, |m, a| m.max(a.abs())),
-                    level: power / f64::max(count, 1.0),
-                });
-            }
-        }
-    }
-    let level = |[power, count]: [f64; 2]| if count > 0.0 { power / count } else { 1.0 };
-    let sensor_band =
-        array.outputs.iter().cloned().zip(sums.into_iter().map(|s| s.into_iter().map(level).collect())).collect();
-    Remainder { edges_hz: EDGES_HZ.to_vec(), sensor_band, event }
 }
 
 #[cfg(test)]

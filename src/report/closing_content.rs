@@ -160,6 +160,8 @@ pub struct Remainder {
     pub edges_hz: Vec<f64>,
     /// Levels of each sensor, one a band.
     pub sensors: Vec<(String, Vec<f64>)>,
+    /// Levels of each sensor at the beginning, in the strong phase, after it and in the coda.
+    pub phases: Vec<(String, Vec<f64>)>,
     /// Record, peak input acceleration (g) and level.
     pub events: Vec<(String, f64, f64)>,
 }

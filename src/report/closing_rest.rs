@@ -110,7 +110,20 @@ fn bounds(bounds: &[Bound]) -> Markup {
 fn structure(remainder: &Remainder) -> Markup {
     html! {
         @if remainder.edges_hz.len() > 1 { (by_frequency(remainder)) }
+        @if !remainder.phases.is_empty() { (by_phase(remainder)) }
         @if !remainder.events.is_empty() { (by_event(remainder)) }
+    }
+}
+
+fn by_phase(remainder: &Remainder) -> Markup {
+    html! {
+        div.scroll { table {
+            caption { "The same by phases of the events, which end where the input has brought 5, 75 and 95 % of its energy: level, 1 where only noise is left." }
+            thead { tr { th { "Sensor" } @for phase in ["Beginning", "Strong phase", "After it", "Coda"] { th.n { (phase) } } } }
+            tbody { @for (sensor, levels) in &remainder.phases {
+                tr { td { (sensor) } @for level in levels { td.n { (number::significant(*level)) } } }
+            } }
+        } }
     }
 }
 

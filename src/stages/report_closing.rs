@@ -156,6 +156,7 @@ fn remainder(diagnosis: &Diagnosis) -> Option<Remainder> {
     let left = &diagnosis.remainder;
     (!left.event.is_empty()).then(|| Remainder {
         edges_hz: left.edges_hz.clone(),
+        phases: left.sensor_phase.iter().map(|(name, levels)| (name.clone(), levels.clone())).collect(),
         sensors: left.sensor_band.iter().map(|(name, levels)| (name.clone(), levels.clone())).collect(),
         events: left
             .event

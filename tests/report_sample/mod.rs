@@ -284,6 +284,7 @@ fn closing() -> Closing {
                 .iter()
                 .map(|(name, _)| ((*name).to_string(), (0..7).map(|_| (0.4 * noise.next()).exp()).collect()))
                 .collect(),
+            phases: SENSORS.iter().map(|(name, _)| ((*name).to_string(), vec![0.9, 1.4, 1.2, 1.0])).collect(),
             events: EVENTS.iter().map(|(name, _, pga)| ((*name).to_string(), 0.1 * pga, 1.1)).collect(),
         }),
         evidence: SENSORS
