@@ -83,7 +83,7 @@ fn a_whole_run_is_cached_explained_and_predicts() {
     assert_eq!(status, 0);
     for line in plan.lines() {
         let is_cached = line.contains("cached");
-        let follows = ["calibrate", "evaluate", "compare", "report"].iter().any(|s| line.starts_with(s));
+        let follows = ["calibrate", "extend", "evaluate", "compare", "report"].iter().any(|s| line.starts_with(s));
         assert_eq!(is_cached, !follows, "{line}");
     }
     assert!(plan.contains("`calibrate.penalty`: 1.0 → 0.5"), "{plan}");
