@@ -109,7 +109,7 @@ pub struct Remainder {
     pub edges_hz: Vec<f64>,
     /// `[sensor][band]` over all events.
     pub sensor_band: BTreeMap<String, Vec<f64>>,
-    /// `[sensor][phase]` over all events, phases being those of [`PHASES`].
+    /// `[sensor][phase]` over all events; phases end where the input has brought 5, 75, 95 and 100 % of its energy.
     #[serde(default)]
     pub sensor_phase: BTreeMap<String, Vec<f64>>,
     /// By event and component, with the peak input acceleration in m/s².

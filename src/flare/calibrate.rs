@@ -64,7 +64,7 @@ impl Calibration {
 /// What stage 3 learns from.
 #[derive(Debug, Clone, Copy)]
 pub struct Data<'a> {
-    /// Training simulations; only the penalty looks at them, and only with [`Metric::Field`].
+    /// Training simulations; only the penalty looks at them, and only with [`super::Metric::Field`].
     pub simulations: &'a [Case],
     /// Events the coefficients are fitted to.
     pub train: &'a [Event],

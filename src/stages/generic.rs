@@ -144,12 +144,18 @@ impl Generic {
             let stable = tried.iter().find_map(|t| Some((t, t.stability?)));
             let found = match (taken, stable) {
                 (Some(terms), _) => format!("{terms}: error of the validation events {before:.4} → {after:.4}"),
-                (None, Some((t, stability))) => format!(
-                    "none; {} would lower the error of the validation events, {before:.4} → {:.4}, but does so in only {:.0} % of the fits with a training event left out, or not with every validation event left out",
-                    t.terms,
-                    t.validation_error,
-                    100.0 * stability
-                ),
+                (None, Some((t, stability))) => {
+                    let why = if t.is_shared == Some(false) {
+                        "not with each of these left out".to_string()
+                    } else {
+                        format!("in only {:.0} % of the fits with a training event left out", 100.0 * stability)
+                    };
+                    let lowered = t.validation_error;
+                    let terms = &t.terms;
+                    format!(
+                        "none; {terms} would lower the error of the validation events, {before:.4} → {lowered:.4}, but {why}"
+                    )
+                }
                 (None, None) if tried.is_empty() => "none, there are too few training events".to_string(),
                 (None, None) => "none, no group of them helps the validation events".to_string(),
             };
@@ -210,6 +216,7 @@ fn row(channel: &Channel, factor: Option<&GenericCorrection>, terms: &BTreeMap<S
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::flare::Tried;
     use crate::numerics::random;
     use rand_distr::{Distribution, StandardNormal};
 
@@ -298,5 +305,31 @@ mod tests {
         // A component without more terms is no part of it.
         let without = Generic::of(&channels, DT_S, [0.2, 9.5], BTreeMap::new(), 1);
         assert!(without.errors.iter().all(|r| r.nrmse_percent.flare_t_generic.is_none()) && without.n_diverged == 0);
+    }
+
+    #[test]
+    fn why_terms_were_not_taken_is_said() {
+        let tried = |stability, is_shared| Tried {
+            terms: "slower memory".into(),
+            n_coefficient: 9,
+            weight: Some(1.0),
+            validation_error: 0.1,
+            stability,
+            is_shared,
+        };
+        let note = |tried: Vec<Tried>| {
+            let outcome = Outcome { is_asked: true, taken: None, validation: [0.2; 2], tried };
+            let found = Generic::of(&[], DT_S, [0.2, 9.5], BTreeMap::from([("EW".to_string(), outcome)]), 1);
+            found.notes().pop().unwrap()
+        };
+        assert!(
+            note(vec![tried(Some(1.0), Some(false))]).ends_with("0.2000 → 0.1000, but not with each of these left out")
+        );
+        assert!(
+            note(vec![tried(Some(0.5), Some(true))])
+                .ends_with("but in only 50 % of the fits with a training event left out")
+        );
+        assert!(note(vec![tried(None, None)]).ends_with("no group of them helps the validation events"));
+        assert!(note(Vec::new()).ends_with("too few training events"));
     }
 }
