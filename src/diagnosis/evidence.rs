@@ -49,14 +49,10 @@ pub(super) fn input_coherent_share(search: &Search<'_>, model: &Model) -> Option
                     std::iter::once(record).chain(others).map(|o| o.channels[0].as_slice()).collect();
                 let component = search.scene.problem.events[record.event].component();
                 for s in 0..n_sensor {
-                    let value = |k: usize| {
-                        let i = at + 2 * ((k * n_record + r) * n_sensor + s);
-                        C64::new(residual[i], residual[i + 1])
-                    };
                     channels[component * n_sensor + s].push(Trace {
                         frequencies_hz: &group.frequencies_hz,
                         inputs: inputs.clone(),
-                        residual: (0..n_bin).map(value).collect(),
+                        residual: group.residual_bins(&residual[at..], n_sensor, [r, s]),
                     });
                 }
             }

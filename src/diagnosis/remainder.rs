@@ -38,15 +38,10 @@ pub(super) fn remainder(search: &Search<'_>, model: &Model) -> Remainder {
                     }
                 }
             }
-            let (n_record, n_sensor) = (group.records.len(), array.outputs.len());
             for (r, record) in group.records.iter().enumerate() {
                 let input = &search.scene.problem.events[record.event].input[record.window.clone()];
                 for (s, phases) in phases.iter_mut().enumerate() {
-                    let bin = |k: usize| {
-                        let i = 2 * ((k * n_record + r) * n_sensor + s);
-                        C64::new(whitened[i], whitened[i + 1])
-                    };
-                    let bins: Vec<C64> = (0..group.frequencies_hz.len()).map(bin).collect();
+                    let bins = group.residual_bins(whitened, array.outputs.len(), [r, s]);
                     add(phases, by_phase(&bins, &group.frequencies_hz, input));
                 }
             }

@@ -37,6 +37,14 @@ pub struct Group {
     pub convolver: Convolver,
 }
 
+impl Group {
+    /// Of the whitened `residual` of this group, `[bin][record][sensor]` in pairs of numbers, the bins of a record and a sensor.
+    pub(super) fn residual_bins(&self, residual: &[f64], n_sensor: usize, [r, s]: [usize; 2]) -> Vec<C64> {
+        let pairs = residual.chunks_exact(2).skip(r * n_sensor + s).step_by(self.records.len() * n_sensor);
+        pairs.take(self.frequencies_hz.len()).map(|p| C64::new(p[0], p[1])).collect()
+    }
+}
+
 /// One component of one event as spectra.
 #[derive(Debug, Clone)]
 pub struct RecordSpectra {

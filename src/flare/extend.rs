@@ -110,7 +110,8 @@ pub fn extend(
     let mut best: Option<(usize, Bench<'_>, Fit)> = None;
     for (i, group) in groups.iter().enumerate() {
         let wide = Wide::new(source, (&calibration.coefficients, &calibration.mask), group);
-        let bench = Bench { wide, encoder, observation, settings, data };
+        let penalty = Penalty::of(settings.metric, &wide.model, data.simulations);
+        let bench = Bench { wide, penalty, encoder, observation, settings, data };
         let found = bench.ladder(before, |weight, judged| history.rows.push(vec![i as f64, weight, judged]));
         tried.push(Tried {
             terms: group.terms.clone(),
@@ -207,6 +208,7 @@ struct Fit {
 /// What a group is tried on.
 struct Bench<'a> {
     wide: Wide,
+    penalty: Penalty,
     encoder: &'a SparseEncoder,
     observation: &'a Observation,
     settings: &'a CalibrateSettings,
@@ -262,7 +264,7 @@ impl Bench<'_> {
 
     /// Down the ladder of penalties on (2), each rung from where the last one ended, as long as `goes_on` says after one.
     fn walk(&self, train: &Records<'_>, mut goes_on: impl FnMut(f64, &[f32]) -> bool) {
-        let penalty = &Penalty::of(self.settings.metric, &self.wide.model, self.data.simulations);
+        let penalty = &self.penalty;
         let mut xi = self.wide.model.coefficients().to_vec();
         for weight in self.settings.penalty_ladder.iter().copied() {
             let descent = Descent { train, penalty, weight, free: &self.wide.new };

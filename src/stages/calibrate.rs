@@ -40,8 +40,7 @@ impl Stage for Calibrate {
         let checkpoint_dir = Some(task.checkpoint_dir()?);
         let Bench { model, encoder, observation, settings, .. } = &bench;
         let found = calibrate(model, encoder, observation, &bench.data(), settings, checkpoint_dir, task.progress())?;
-        found.save(task.output_dir(), &model.shape)?;
-        found.history.save(&task.output_dir().join("history.csv"))
+        found.save(task.output_dir(), &model.shape)
     }
 }
 
