@@ -1,6 +1,6 @@
 //! What a plain layered column on a rigid base does not have. Effects declare it; nothing of it is the default.
 
-use crate::soil::{Law, Rate, Scaled, Scaling, Slider, Softening};
+use crate::soil::{Law, Rate, Scaled, Scaling, Slider, Softening, Viscoelastic};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -160,12 +160,14 @@ impl Features {
 }
 
 impl Around {
-    /// `law` with everything around it.
-    pub fn dress(&self, law: Box<dyn Law>) -> Box<dyn Law> {
+    /// `law` with everything around it, and with the small-strain damping it asks for where it `is_lossy`: the relaxation
+    /// sees the stress after softening and before the slider, which carries what is damped, too.
+    pub fn dress(&self, law: Box<dyn Law>, is_lossy: bool) -> Box<dyn Law> {
         let mut scalings: Vec<Box<dyn Scaling>> = Vec::new();
         scalings.extend(self.softenings.iter().map(|s| Box::new(*s) as Box<dyn Scaling>));
         scalings.extend(self.rates.iter().map(|r| Box::new(*r) as Box<dyn Scaling>));
         let law: Box<dyn Law> = if scalings.is_empty() { law } else { Box::new(Scaled::new(law, scalings)) };
+        let law: Box<dyn Law> = if is_lossy { Box::new(Viscoelastic::new(law)) } else { law };
         match self.tau_max_pa {
             Some(tau_max_pa) => Box::new(Slider::new(law, tau_max_pa)),
             None => law,

@@ -1,7 +1,7 @@
 //! The column as a linear analysis sees it: masses, heights, viscous damping, and the law of each element at rest.
 
 use super::{Column, Structure};
-use crate::soil::Law;
+use crate::soil::{Law, Relaxation};
 
 /// One element before shaking.
 #[derive(Clone, Copy)]
@@ -20,6 +20,8 @@ pub struct Slice<'a> {
     pub container_pa: f64,
     /// Stiffness-proportional damping, s.
     pub beta_s: f64,
+    /// Small-strain damping by memory of the stress.
+    pub relaxation: Option<Relaxation>,
     /// Its law.
     pub law: &'a dyn Law,
 }
@@ -36,6 +38,7 @@ impl Column {
                 pore_pa: e.pore_pa,
                 container_pa: e.container_pa,
                 beta_s: e.beta_s,
+                relaxation: e.relaxation,
                 law: stretch.law.as_ref(),
             })
         })

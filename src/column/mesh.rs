@@ -4,7 +4,7 @@ use super::features::Around;
 use super::{Profile, Structure, Vertical};
 use crate::error::{Error, Result};
 use crate::registry;
-use crate::soil::{LAWS, Law, Point};
+use crate::soil::{Damping, LAWS, Law, Point, Relaxation, relaxations};
 use crate::units::G_M_S2;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -25,6 +25,8 @@ pub(super) struct Element {
     pub container_pa: f64,
     /// Stiffness-proportional damping, s.
     pub beta_s: f64,
+    /// Small-strain damping by memory of the stress; the law of the element has it built in.
+    pub relaxation: Option<Relaxation>,
 }
 
 /// Neighbouring elements of one law, with their geostatic memory as the law laid it out.
@@ -79,6 +81,9 @@ impl Mesh {
     fn push(&mut self, profile: &Profile, cuts: &[Cut], dressed: Dressed) -> Result<()> {
         let Dressed { law, around, .. } = dressed;
         let points: Vec<Point> = cuts.iter().map(|cut| cut.point).collect();
+        let damping: Vec<Damping> = points.iter().map(|point| law.damping(point)).collect();
+        let relaxations = relaxations(&damping);
+        let law = around.dress(law, relaxations.iter().any(Option::is_some));
         let mut start = vec![0.0; law.n_state() * points.len()];
         let mut elastic_pa = vec![[0.0; 4]; points.len()];
         law.start_all(&points, &mut start, &mut elastic_pa).map_err(|(i, error)| (*error).at(place(cuts[i].layer)))?;
@@ -89,7 +94,10 @@ impl Mesh {
         let (w1, w2) = (TAU * self.frequency_hz, 5.0 * TAU * self.frequency_hz);
         for (i, (cut, elastic_pa)) in (first..).zip(cuts.iter().zip(elastic_pa)) {
             let Cut { point, height_m, .. } = cut;
-            let ratio = law.damping_ratio(point);
+            let ratio = match damping[i - first] {
+                Damping::Rayleigh { ratio } => ratio,
+                Damping::Memory { .. } => 0.0,
+            };
             let alpha_1_s = profile.rayleigh.alpha_1_s + 2.0 * ratio * w1 * w2 / (w1 + w2);
             let soil = 0.5 * point.density_kg_m3 * height_m;
             let half = [soil + 0.5 * container.mass_kg_m2 * height_m / profile.depth_m(), soil];
@@ -107,6 +115,7 @@ impl Mesh {
                 pore_pa: if point.depth_m > profile.water_table_m { law.pore_stiffness_pa() } else { 0.0 },
                 container_pa: container.stiffness_pa,
                 beta_s: if around.slips() { 0.0 } else { declared_s + 2.0 * ratio / (w1 + w2) },
+                relaxation: relaxations[i - first],
             });
         }
         self.stretches.push(Stretch { elements: first..self.elements.len(), law, start });
@@ -175,7 +184,7 @@ fn stretches(profile: &Profile, cuts: &[Cut]) -> Result<Vec<Dressed>> {
         let law = registry::find("soil law", LAWS, &layer.law_kind)
             .and_then(|entry| (entry.build)(layer.law.as_ref().clone()))
             .map_err(|error: Error| error.at(place(cut.layer)))?;
-        found.push(Dressed { elements: i..i + 1, law: around.dress(law), around });
+        found.push(Dressed { elements: i..i + 1, law, around });
     }
     Ok(found)
 }

@@ -6,6 +6,10 @@
 //! integrated base motion; everything handed out is **absolute** acceleration. Mass-proportional damping acts on the
 //! velocity relative to the base. Knows no files.
 //!
+//! Small-strain damping of `elastic` and `hyperbolic` is memory of their stress ([`crate::soil::Viscoelastic`]) and does not
+//! depend on frequency; the other laws' ratio becomes Rayleigh damping at the fundamental frequency and five times that. What
+//! `[site.rayleigh]` declares acts beside either.
+//!
 //! Steps are HHT-α steps of at most `max_step_s`, halved where Newton's iteration or a law asks for it, and where an
 //! acceleration front passes ([`Analysis::max_jump`]): soil that unloads stiffer than it loads carries jumps of the
 //! acceleration, and an implicit step across many elements overshoots behind them by as much as the jump. Without the

@@ -17,7 +17,7 @@ pub struct Frame<'a> {
     pub surface_m_s2: f64,
     /// Shear strain of the elements.
     pub gamma: &'a [f64],
-    /// Shear stress of the elements (without viscous part), Pa.
+    /// Shear stress of the elements, without what Rayleigh damping and containers carry, Pa.
     pub tau_pa: &'a [f64],
     /// Vertical effective stress of the elements, Pa, compression positive.
     pub vertical_effective_pa: &'a [f64],

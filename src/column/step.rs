@@ -95,11 +95,14 @@ impl<'a> Stepper<'a> {
         let analysis = &self.column.analysis;
         self.delta.fill([0.0; 2]);
         self.trial_responses.copy_from_slice(&self.responses);
+        for (stretch, state) in self.column.mesh.stretches.iter().zip(&self.state) {
+            stretch.law.relax_all(dt, state, &mut self.trial_responses[stretch.elements.clone()]);
+        }
         self.increments.fill(Increment { dt_s: dt, ..Increment::default() });
         if let Some(structure) = &mut self.structure {
             structure.begin();
         }
-        // Predictor: the step solved with the tangent and stress of the last accepted state.
+        // Predictor: the step solved with the tangent and stress of the last accepted state, relaxed.
         self.assemble(dt);
         self.residual(dt, base);
         self.correct()?;

@@ -22,8 +22,8 @@ pub(super) const STEP_S: f64 = 0.5 / STEPS as f64;
 const GRID_LN: [f64; 3] = [0.2, 0.4, 0.4];
 /// Distance of the measured densities in ln; the nearest one is taken.
 const DENSITY_LN: f64 = 0.05;
-/// Parameters that no cycle feels: the column makes viscous damping of them.
-const VISCOUS: [&str; 3] = ["damping_ratio", "damping_multiplier", "viscosity_s"];
+/// Parameters that no cycle feels: the column makes damping beside the law of them.
+const VISCOUS: [&str; 4] = ["damping_ratio", "damping_multiplier", "damping_exponent", "viscosity_s"];
 /// Largest damping ratio.
 pub(super) const MAX_DAMPING: f64 = 0.6;
 /// The parameter of a law that takes the factor of a reference strain, and its default: a search moves it in small steps.

@@ -5,7 +5,7 @@ use super::surroundings::Surroundings;
 use super::tuning::Tuning;
 use crate::column::{Analysis, Column, Features, Profile, Slice, Structure};
 use crate::error::Result;
-use crate::soil::{Point, Rate, Softening};
+use crate::soil::{N_BODY, Point, Rate, Relaxation, Softening, bodies};
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
 
@@ -24,10 +24,11 @@ const PLACES: usize = 3;
 ///
 /// ```text
 /// τ_i = τ_{i−1} − (ω² m_i − iω c_i) U_i − iω c_i u_g                      (1)
-/// γ_i = τ_i / (G_i (1 + 2i D_i) + iω β_i G₀_i),   U_{i+1} = U_i + h_i γ_i   (2)
+/// γ_i = τ_i / (G_i (1 + 2i D_i) K_i + iω β_i G₀_i),   U_{i+1} = U_i + h_i γ_i   (2)
 /// U = a U_h + u_g U_p,   a = u_g (1 − U_p(H)) / U_h(H),   or −u_g τ_p/τ_h below a compliant base's node   (3)
 /// ```
 ///
+/// with K_i of [`Relaxation`], 1 for laws that have their small-strain damping in β and c alone, and
 /// where U_h starts with (1, 0) and no source and U_p with (0, 0) and the source of (1). Everything marched is a smooth
 /// function of frequency, resonances appear in (3) only; so the march needs a coarse grid.
 ///
@@ -51,6 +52,7 @@ struct Element {
     shear_modulus_pa: f64,
     container_pa: f64,
     beta_s: f64,
+    relaxation: Option<Relaxation>,
     curve: Curve,
 }
 
@@ -126,6 +128,7 @@ impl FastColumn {
                 shear_modulus_pa: slice.shear_modulus_pa,
                 container_pa: slice.container_pa,
                 beta_s: slice.beta_s,
+                relaxation: slice.relaxation,
                 curve,
             });
         }
@@ -156,6 +159,8 @@ impl FastColumn {
         let is_compliant = self.mass.len() > self.elements.len();
         let is_damped = is_compliant || self.damping.iter().any(|c| *c > 0.0);
         let rows = self.rows(depths_m);
+        let springs = Springs::new(grid);
+        let mut stiffness = Stiffness { re: vec![0.0; n], im: vec![0.0; n] };
         let mut homogeneous = Wave::new(n, [1.0, 0.0]);
         let mut particular = Wave::new(n, [0.0, 0.0]);
         homogeneous.load(&self.structure, &omega);
@@ -188,13 +193,13 @@ impl FastColumn {
             let (ratio, damping) = element.curve.at(*gamma);
             let (factor, added) = tuning.at(element.depth_m / self.depth_m);
             let (modulus, damping) = (element.shear_modulus_pa * ratio * factor, (damping + added).max(0.0));
-            let stiffness =
-                [modulus + element.container_pa, 2.0 * damping * modulus, element.beta_s * element.shear_modulus_pa];
+            stiffness.set(modulus, damping, element.relaxation.as_ref(), &springs);
+            stiffness.add(element.container_pa, element.beta_s * element.shear_modulus_pa, &omega);
             let node = [self.mass[i], self.damping[i]];
             let slot = i * n..(i + 1) * n;
-            homogeneous.step(&omega, node, 0.0, stiffness, element.height_m, &mut march.strain[0][slot.clone()]);
+            homogeneous.step(&omega, node, 0.0, &stiffness, element.height_m, &mut march.strain[0][slot.clone()]);
             if is_damped {
-                particular.step(&omega, node, 1.0, stiffness, element.height_m, &mut march.strain[1][slot]);
+                particular.step(&omega, node, 1.0, &stiffness, element.height_m, &mut march.strain[1][slot]);
             }
         }
         if let (true, Some(mass), Some(damping)) = (is_compliant, self.mass.last(), self.damping.last()) {
@@ -262,6 +267,52 @@ impl Grid {
     }
 }
 
+/// The springs of every relaxation on a grid: real and imaginary parts, spring after spring.
+struct Springs([[Vec<f64>; 2]; N_BODY]);
+
+impl Springs {
+    fn new(grid: Grid) -> Self {
+        let at: Vec<_> = (0..grid.count).map(|k| bodies(grid.frequency(k))).collect();
+        Self(std::array::from_fn(|j| [0, 1].map(|part| at.iter().map(|springs| springs[j][part]).collect())))
+    }
+}
+
+/// Complex stiffness of an element on a grid, Pa, real and imaginary parts apart.
+struct Stiffness {
+    re: Vec<f64>,
+    im: Vec<f64>,
+}
+
+impl Stiffness {
+    /// G (1 + 2iD) K.
+    fn set(&mut self, modulus: f64, damping: f64, relaxation: Option<&Relaxation>, springs: &Springs) {
+        let loss = 2.0 * damping * modulus;
+        let Some(relaxation) = relaxation else {
+            self.re.fill(modulus);
+            self.im.fill(loss);
+            return;
+        };
+        self.re.fill(relaxation.rest * modulus);
+        self.im.fill(relaxation.rest * loss);
+        for (weight, [spring_re, spring_im]) in relaxation.weights.iter().zip(&springs.0) {
+            let (a, b) = (weight * modulus, weight * loss);
+            let parts = self.re.iter_mut().zip(&mut self.im).zip(spring_re.iter().zip(spring_im));
+            for ((re, im), (x, y)) in parts {
+                *re += a * x - b * y;
+                *im += a * y + b * x;
+            }
+        }
+    }
+
+    /// A spring and a dashpot in parallel.
+    fn add(&mut self, spring_pa: f64, dashpot_pa_s: f64, omega: &[f64]) {
+        for ((re, im), w) in self.re.iter_mut().zip(&mut self.im).zip(omega) {
+            *re += spring_pa;
+            *im += dashpot_pa_s * w;
+        }
+    }
+}
+
 /// A solution being marched, real and imaginary parts apart.
 struct Wave {
     u: [Vec<f64>; 2],
@@ -316,23 +367,23 @@ impl Wave {
         omega: &[f64],
         [mass, damping]: [f64; 2],
         source: f64,
-        [re, im, viscous]: [f64; 3],
+        stiffness: &Stiffness,
         height_m: f64,
         strain: &mut [C64],
     ) {
         let [ur, ui] = &mut self.u;
         let [tr, ti] = &mut self.tau;
         let n = omega.len();
+        let (re, im) = (&stiffness.re[..n], &stiffness.im[..n]);
         let (ur, ui, tr, ti, strain) = (&mut ur[..n], &mut ui[..n], &mut tr[..n], &mut ti[..n], &mut strain[..n]);
         for k in 0..n {
             let w = omega[k];
             let (m, c) = (w * w * mass, w * damping);
             tr[k] -= m * ur[k] + c * ui[k];
             ti[k] += c * (ur[k] - source) - m * ui[k];
-            let loss = im + w * viscous;
-            let scale = 1.0 / (re * re + loss * loss);
-            let sr = (tr[k] * re + ti[k] * loss) * scale;
-            let si = (ti[k] * re - tr[k] * loss) * scale;
+            let scale = 1.0 / (re[k] * re[k] + im[k] * im[k]);
+            let sr = (tr[k] * re[k] + ti[k] * im[k]) * scale;
+            let si = (ti[k] * re[k] - tr[k] * im[k]) * scale;
             ur[k] += height_m * sr;
             ui[k] += height_m * si;
             strain[k] = C64::new(sr, si);

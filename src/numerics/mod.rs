@@ -4,6 +4,7 @@ pub mod block_tridiagonal;
 pub mod filter;
 pub mod integrate;
 pub mod lanes;
+pub mod nnls;
 pub mod random;
 pub mod resample;
 pub mod smooth;

@@ -1,6 +1,6 @@
 //! Modified Cam-Clay: logarithmic porous elasticity, exponential hardening, implicit return.
 
-use super::{Increment, Law, Point, Ranges, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response};
 use crate::error::{Error, Result};
 use crate::registry::{Entry, params};
 use crate::units::{GPA, KPA};
@@ -220,7 +220,7 @@ impl Law for CamClay {
         self.k_w_gpa * GPA * (1.0 + self.e0) / self.e0
     }
 
-    fn damping_ratio(&self, _: &Point) -> f64 {
-        self.damping_ratio
+    fn damping(&self, _: &Point) -> Damping {
+        Damping::Rayleigh { ratio: self.damping_ratio }
     }
 }

@@ -1,6 +1,6 @@
 //! Linear elasticity with the shear-wave velocity of the layer.
 
-use super::{Increment, Law, Point, Ranges, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response};
 use crate::error::Result;
 use crate::registry::{Entry, params};
 use crate::units::GPA;
@@ -15,6 +15,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
         Ranges::new()
             .check("poisson_ratio", law.poisson_ratio, 0.0, 0.495)
             .check("damping_ratio", law.damping_ratio, 0.0, 0.5)
+            .check("damping_exponent", law.damping_exponent, -0.6, 0.6)
             .check("porosity", law.porosity, 0.01, 0.99)
             .check("k_w_gpa", law.k_w_gpa, 0.0, 10.0)
             .done()?;
@@ -33,11 +34,15 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// |--------|-----------------|------|-----------|
 /// | ν      | `poisson_ratio` | –    | 0…0.495   |
 /// | ξ      | `damping_ratio` | –    | 0…0.5     |
-/// | n      | `porosity`      | –    | 0.01…0.99 |
+/// | n      | `damping_exponent` | – | −0.6…0.6  |
+/// | φ      | `porosity`      | –    | 0.01…0.99 |
 /// | K_w    | `k_w_gpa`       | GPa  | 0…10      |
 ///
-/// Limits: no hysteresis, no strength. Damping is Rayleigh damping fitted at two frequencies of the profile.
-/// Check: `tests/verification/transfer_function.rs`.
+/// Damping is [`Viscoelastic`](super::Viscoelastic): ξ(f) = ξ (f/f_r)ⁿ, f_r = 3 Hz, where Vs holds; n = 0 does not depend on
+/// frequency. Who wants Rayleigh damping declares ξ = 0 and `[site.rayleigh]`.
+///
+/// Limits: no hysteresis, no strength.
+/// Check: `tests/verification/transfer_function.rs`, `tests/verification/viscoelastic.rs`.
 /// Source: any text on elasticity.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -46,6 +51,8 @@ struct Elastic {
     poisson_ratio: f64,
     /// Small-strain damping ratio ξ.
     damping_ratio: f64,
+    /// Exponent n of its growth with frequency.
+    damping_exponent: f64,
     /// Porosity n (pore water below the water table).
     porosity: f64,
     /// Bulk modulus of water, GPa (0: drained).
@@ -54,7 +61,7 @@ struct Elastic {
 
 impl Default for Elastic {
     fn default() -> Self {
-        Self { poisson_ratio: 0.3, damping_ratio: 0.0, porosity: 0.4, k_w_gpa: 2.2 }
+        Self { poisson_ratio: 0.3, damping_ratio: 0.0, damping_exponent: 0.0, porosity: 0.4, k_w_gpa: 2.2 }
     }
 }
 
@@ -91,7 +98,7 @@ impl Law for Elastic {
         self.k_w_gpa * GPA / self.porosity
     }
 
-    fn damping_ratio(&self, _: &Point) -> f64 {
-        self.damping_ratio
+    fn damping(&self, _: &Point) -> Damping {
+        Damping::Memory { ratio: self.damping_ratio, exponent: self.damping_exponent }
     }
 }

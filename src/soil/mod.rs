@@ -5,7 +5,7 @@
 //! handed back are **effective**; the column adds the pore water.
 //!
 //! [`Scaled`] and [`Slider`] are laws around a law: they add softening, rate dependence or an interface that slips to
-//! any of the registered ones.
+//! any of the registered ones. [`Viscoelastic`] gives a law damping at small strains.
 
 mod cam_clay;
 mod elastic;
@@ -13,15 +13,19 @@ mod hyperbolic;
 mod mohr_coulomb;
 mod principal;
 mod rate;
+mod relaxation;
 mod sanisand;
 mod scaled;
 mod slider;
 mod softening;
+mod viscoelastic;
 
 pub use rate::Rate;
+pub use relaxation::{Damping, N_BODY, REFERENCE_HZ, Relaxation, bodies, relaxations};
 pub use scaled::{Scaled, Scaling};
 pub use slider::Slider;
 pub use softening::Softening;
+pub use viscoelastic::Viscoelastic;
 
 use crate::error::{Error, Result};
 use crate::registry::Entry;
@@ -165,8 +169,12 @@ pub trait Law: Send + Sync {
     /// Bulk stiffness of the pore water, K_w / porosity (Pa), where the point lies below the water table.
     fn pore_stiffness_pa(&self) -> f64;
 
-    /// Small-strain damping ratio that the law asks for beside its hysteresis.
-    fn damping_ratio(&self, point: &Point) -> f64;
+    /// Small-strain damping that the law asks for beside its hysteresis.
+    fn damping(&self, point: &Point) -> Damping;
+
+    /// Turns the last accepted responses into those after `dt_s` without strain, for a law that relaxes: what the predictor
+    /// of a step starts from.
+    fn relax_all(&self, _dt_s: f64, _committed: &[f64], _responses: &mut [Response]) {}
 
     /// Viscosity over elastic stiffness, s: stiffness-proportional damping without which the law is not well posed.
     fn viscosity_s(&self) -> f64 {

@@ -1,7 +1,7 @@
 //! Mohr–Coulomb plasticity with linear elasticity and non-associated flow.
 
 use super::principal::Principal;
-use super::{Increment, Law, Point, Ranges, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response};
 use crate::error::Result;
 use crate::registry::{Entry, params};
 use crate::units::{GPA, KPA};
@@ -215,7 +215,7 @@ impl Law for MohrCoulomb {
         self.k_w_gpa * GPA / self.porosity
     }
 
-    fn damping_ratio(&self, _: &Point) -> f64 {
-        self.damping_ratio
+    fn damping(&self, _: &Point) -> Damping {
+        Damping::Rayleigh { ratio: self.damping_ratio }
     }
 }

@@ -1,6 +1,6 @@
 //! A law whose shear is scaled by a slowly changing memory: what softening and rate dependence have in common.
 
-use super::{Increment, Law, Point, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Refusal, Response};
 use crate::error::{Error, Result};
 
 /// Two factors on the shear of a law, and the memory they follow from.
@@ -158,8 +158,8 @@ impl Law for Scaled {
         self.law.pore_stiffness_pa()
     }
 
-    fn damping_ratio(&self, point: &Point) -> f64 {
-        self.law.damping_ratio(point)
+    fn damping(&self, point: &Point) -> Damping {
+        self.law.damping(point)
     }
 
     fn viscosity_s(&self) -> f64 {

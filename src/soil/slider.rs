@@ -1,6 +1,6 @@
 //! An interface that slips: a cap on the shear stress of one element.
 
-use super::{Increment, Law, Point, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Refusal, Response};
 use crate::error::Result;
 
 /// A law in series with a rigid-plastic slider.
@@ -67,12 +67,19 @@ impl Law for Slider {
         Err(Refusal::Return)
     }
 
+    fn relax_all(&self, dt_s: f64, committed: &[f64], responses: &mut [Response]) {
+        self.law.relax_all(dt_s, committed, responses);
+        for response in responses {
+            response.tau_pa = response.tau_pa.clamp(-self.tau_max_pa, self.tau_max_pa);
+        }
+    }
+
     fn pore_stiffness_pa(&self) -> f64 {
         self.law.pore_stiffness_pa()
     }
 
-    fn damping_ratio(&self, point: &Point) -> f64 {
-        self.law.damping_ratio(point)
+    fn damping(&self, point: &Point) -> Damping {
+        self.law.damping(point)
     }
 
     fn viscosity_s(&self) -> f64 {

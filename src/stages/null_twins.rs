@@ -22,7 +22,7 @@ impl Stage for NullTwins {
     }
 
     fn version(&self) -> u32 {
-        13
+        14
     }
 
     fn reads(&self) -> &'static [&'static str] {

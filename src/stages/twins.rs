@@ -25,7 +25,7 @@ pub struct TwinThresholds;
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 28);
+const TWIN: (&str, u32) = ("twin", 29);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -53,7 +53,7 @@ impl Stage for TwinThresholds {
     }
 
     fn version(&self) -> u32 {
-        19
+        20
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -82,7 +82,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        28
+        29
     }
 
     fn reads(&self) -> &'static [&'static str] {

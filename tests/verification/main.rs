@@ -13,3 +13,4 @@ mod sanisand;
 mod strength;
 mod support;
 mod transfer_function;
+mod viscoelastic;

@@ -34,14 +34,19 @@ pub fn cos_sin(a: Complex) -> (Complex, Complex) {
 /// Absolute surface over base acceleration of Rayleigh-damped layers. With w relative to the base and mass damping on w,
 /// w − w_p with w_p = −ω²/(ω² − iωα) obeys the homogeneous equation with k² = (ω² − iωα) ρ/(G(1 + iωβ)).
 fn exact(profile: &Profile, f_hz: f64) -> Complex {
+    exact_with(profile, f_hz, |_| [1.0, TAU * f_hz * profile.rayleigh.beta_s])
+}
+
+/// The same with the complex modulus of each layer over ρVs².
+pub fn exact_with(profile: &Profile, f_hz: f64, modulus: impl Fn(&Layer) -> Complex) -> Complex {
     let w = TAU * f_hz;
     let rate = [w * w, -w * profile.rayleigh.alpha_1_s];
     let particular = div([-w * w, 0.0], rate);
     // Displacement and traction from the free surface down.
     let (mut y, mut tau) = ([1.0, 0.0], [0.0, 0.0]);
-    for Layer { thickness_m, density_kg_m3, vs_m_s, .. } in &profile.layers {
-        let g = density_kg_m3 * vs_m_s * vs_m_s;
-        let g = [g, g * w * profile.rayleigh.beta_s];
+    for layer in &profile.layers {
+        let Layer { thickness_m, density_kg_m3, vs_m_s, .. } = layer;
+        let g = modulus(layer).map(|m| m * density_kg_m3 * vs_m_s * vs_m_s);
         let k = sqrt(div(rate.map(|x| x * density_kg_m3), g));
         let (c, s) = cos_sin(k.map(|x| x * thickness_m));
         let gk = mul(g, k);

@@ -3,7 +3,7 @@
 mod integrate;
 mod rates;
 
-use super::{Increment, Law, Point, Ranges, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response};
 use crate::error::{Error, Result};
 use crate::registry::{Entry, params};
 use crate::units::{GPA, KPA};
@@ -238,8 +238,8 @@ impl Law for Sanisand {
         self.k_w_gpa * GPA * (1.0 + self.e_ini) / self.e_ini
     }
 
-    fn damping_ratio(&self, _: &Point) -> f64 {
-        self.damping_ratio
+    fn damping(&self, _: &Point) -> Damping {
+        Damping::Rayleigh { ratio: self.damping_ratio }
     }
 
     fn viscosity_s(&self) -> f64 {
