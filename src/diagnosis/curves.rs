@@ -17,18 +17,36 @@ pub(super) const CYCLES: usize = 3;
 pub(super) const STEPS: usize = 32;
 /// Time of an increment, s: cycles of about 2 Hz.
 pub(super) const STEP_S: f64 = 0.5 / STEPS as f64;
-/// Distances of the measured shear-wave velocities, vertical stresses and strengths in ln; between them curves are
-/// interpolated.
-const GRID_LN: [f64; 3] = [0.2, 0.4, 0.4];
+/// Axes between whose nodes curves are interpolated: shear-wave velocity, vertical stress, strength and contraction.
+const N_AXIS: usize = 4;
+/// Distances of the measured nodes in ln.
+const GRID_LN: [f64; N_AXIS] = [0.2, 0.4, 0.4, 0.4];
 /// Distance of the measured densities in ln; the nearest one is taken.
 const DENSITY_LN: f64 = 0.05;
 /// Parameters that no cycle feels: the column makes damping beside the law of them.
 const VISCOUS: [&str; 4] = ["damping_ratio", "damping_multiplier", "damping_exponent", "viscosity_s"];
 /// Largest damping ratio.
 pub(super) const MAX_DAMPING: f64 = 0.6;
-/// The parameter of a law that takes the factor of a reference strain, and its default: a search moves it in small steps.
-const STRENGTHS: [(&str, &str, f64); 3] =
-    [("hyperbolic", "gamma_ref_multiplier", 1.0), ("sanisand", "h_0", 6.0), ("cam_clay", "m", 1.2)];
+
+/// A parameter of a law that a search moves in small steps, and the axis it has.
+struct Moved {
+    law_kind: &'static str,
+    key: &'static str,
+    default: f64,
+    axis: usize,
+}
+
+/// What takes the factor of a reference strain, and that of contraction.
+const MOVED: [Moved; 4] = [
+    Moved { law_kind: "hyperbolic", key: "gamma_ref_multiplier", default: 1.0, axis: 2 },
+    Moved { law_kind: "sanisand", key: "h_0", default: 6.0, axis: 2 },
+    Moved { law_kind: "cam_clay", key: "m", default: 1.2, axis: 2 },
+    Moved { law_kind: "sanisand", key: "contraction_multiplier", default: 1.0, axis: 3 },
+];
+
+fn moved(law_kind: &str) -> impl Iterator<Item = &'static Moved> {
+    MOVED.iter().filter(move |m| m.law_kind == law_kind)
+}
 
 /// Secant modulus over the small-strain one and hysteretic damping ratio, by strain amplitude.
 ///
@@ -217,15 +235,15 @@ impl Curves {
         if layer.law_kind == "elastic" {
             return Curve::LINEAR;
         }
-        let strength = STRENGTHS.iter().find(|(kind, ..)| *kind == layer.law_kind).map(|(_, key, default)| {
-            (*key, layer.law.get(*key).and_then(toml::Value::as_float).unwrap_or(*default).max(f64::MIN_POSITIVE))
-        });
-        let places = [Some(point.vs_m_s), Some(point.vertical_pa), strength.map(|s| s.1)];
-        let mut nodes = vec![(1.0, [None; 3])];
+        let mut places = [Some(point.vs_m_s), Some(point.vertical_pa), None, None];
+        for Moved { key, default, axis, .. } in moved(&layer.law_kind) {
+            places[*axis] = Some(layer.law.get(*key).and_then(toml::Value::as_float).unwrap_or(*default));
+        }
+        let mut nodes = vec![(1.0, [None; N_AXIS])];
         for (axis, place) in places.into_iter().enumerate() {
             let Some(x) = place.map(|p| p.max(1e-9).ln() / GRID_LN[axis]) else { continue };
             let share = x - x.floor();
-            let beside = |(weight, node): &(f64, [Option<i64>; 3])| {
+            let beside = |(weight, node): &(f64, [Option<i64>; N_AXIS])| {
                 [(1.0 - share, x.floor()), (share, x.floor() + 1.0)].map(|(w, at)| {
                     let mut node = *node;
                     node[axis] = Some(at as i64);
@@ -234,9 +252,8 @@ impl Curves {
             };
             nodes = nodes.iter().flat_map(beside).filter(|(weight, _)| *weight > 0.0).collect();
         }
-        let parts = nodes.into_iter().filter_map(|(weight, node)| {
-            Some((weight, self.at(layer, strength.map(|s| s.0), point, (pore_pa, vertical), node)?))
-        });
+        let part = |(weight, node)| Some((weight, self.at(layer, point, (pore_pa, vertical), node)?));
+        let parts = nodes.into_iter().filter_map(part);
         Curve { parts: parts.collect(), surroundings: None }
     }
 
@@ -244,17 +261,16 @@ impl Curves {
     fn at(
         &self,
         layer: &Layer,
-        strength: Option<&str>,
         point: &Point,
         (pore_pa, vertical): (f64, Vertical),
-        node: [Option<i64>; 3],
+        node: [Option<i64>; N_AXIS],
     ) -> Option<Arc<Measured>> {
         let value = |axis: usize| node[axis].map(|n| (n as f64 * GRID_LN[axis]).exp());
         let density = (point.density_kg_m3.ln() / DENSITY_LN).round();
         let k0 = 1e-3 * (1e3 * point.horizontal_pa / point.vertical_pa).round();
         let mut hasher = DefaultHasher::new();
         layer.law_kind.hash(&mut hasher);
-        let counts = |key: &str| Some(key) != strength && !VISCOUS.contains(&key);
+        let counts = |key: &str| moved(&layer.law_kind).all(|m| m.key != key) && !VISCOUS.contains(&key);
         hash_table(&layer.law, &counts, &mut hasher);
         [density, k0, pore_pa].map(f64::to_bits).hash(&mut hasher);
         node.hash(&mut hasher);
@@ -265,8 +281,10 @@ impl Curves {
         }
         let mut parameters = layer.law.as_ref().clone();
         VISCOUS.iter().for_each(|key| drop(parameters.remove(*key)));
-        if let (Some(key), Some(value)) = (strength, value(2)) {
-            parameters.insert(key.to_string(), value.into());
+        for Moved { key, axis, .. } in moved(&layer.law_kind) {
+            if let Some(value) = value(*axis) {
+                parameters.insert(key.to_string(), value.into());
+            }
         }
         let law = (registry::find("soil law", LAWS, &layer.law_kind).ok()?.build)(parameters).ok()?;
         let vertical_pa = value(1)?;

@@ -21,6 +21,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
             .check("damping_ratio", law.damping_ratio.unwrap_or(0.0), 0.0, 0.5)
             .check("damping_multiplier", law.damping_multiplier, 0.0, 20.0)
             .check("damping_exponent", law.damping_exponent, -0.6, 0.6)
+            .check("hysteresis_multiplier", law.hysteresis_multiplier, 0.05, 3.0)
             .check("cycles", law.cycles, 1.0, 1e4)
             .check("poisson_ratio", law.poisson_ratio, 0.0, 0.495)
             .check("porosity", law.porosity, 0.01, 0.99)
@@ -38,7 +39,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// from reversal (γ_a, τ_a), x = γ − γ_a:
 ///                     τ = τ_a + F [2 τ_b(x/2) − G_m x] + G_m x                                   (2)
 /// with the secant     G_m = τ_b(γ_m)/γ_m at the largest strain γ_m so far                       (3)
-/// and the factor      F = b (G_m/G)^0.1,   b = 0.6329 − 0.0057 ln N                              (4)
+/// and the factor      F = k b (G_m/G)^0.1,   b = 0.6329 − 0.0057 ln N                            (4)
 /// reference strain    γ_r = (0.0352 + 0.0010 PI OCR^0.3246) (σ'₀/p_a)^0.3483 / 100              (5)
 /// small strain        ξ_min = (0.8005 + 0.0129 PI OCR^−0.1069) (σ'₀/p_a)^−0.2889 / 100          (6)
 /// ```
@@ -58,6 +59,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | γ_r    | `gamma_ref` (else (5)) | –    | 1e-6…1    |
 /// | ξ_min  | `damping_ratio` (else (6)) | – | 0…0.5    |
 /// | n      | `damping_exponent`     | –    | −0.6…0.6  |
+/// | k      | `hysteresis_multiplier`| –    | 0.05…3    |
 /// | N      | `cycles`               | –    | 1…1e4     |
 /// | ν, φ, K_w | as in `elastic`     |      |           |
 /// | state  | τ, σ, γ, γ_m, constants, G_m, F, reversals | [10 + 2·24] | Pa, – |
@@ -87,6 +89,8 @@ struct Hyperbolic {
     damping_multiplier: f64,
     /// Exponent n of its growth with frequency.
     damping_exponent: f64,
+    /// Factor k on the damping of loops; with `reduce_damping = false` on Masing's.
+    hysteresis_multiplier: f64,
     /// Number of cycles N of the damping curve.
     cycles: f64,
     /// Whether hysteretic damping is reduced by F; false gives the plain Masing rule.
@@ -110,6 +114,7 @@ impl Default for Hyperbolic {
             damping_ratio: None,
             damping_multiplier: 1.0,
             damping_exponent: 0.0,
+            hysteresis_multiplier: 1.0,
             cycles: 10.0,
             reduce_damping: true,
             poisson_ratio: 0.3,
@@ -156,7 +161,7 @@ impl Hyperbolic {
     fn reduction(&self, g: f64, gamma_ref: f64, gamma_max: f64) -> (f64, f64) {
         let ratio = 1.0 / (1.0 + (gamma_max / gamma_ref).powf(self.curvature));
         let f = if self.reduce_damping { (0.6329 - 0.0057 * self.cycles.ln()) * ratio.powf(0.1) } else { 1.0 };
-        (g * ratio, f)
+        (g * ratio, self.hysteresis_multiplier * f)
     }
 
     /// (τ, dτ/dγ) at `gamma` on the branch from the reversal (γ_a, τ_a), equation (2).

@@ -29,6 +29,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
             .check("c_h", p.c_h, 0.0, 1.0 / p.e_ini)
             .check("n_b", p.n_b, 0.0, 20.0)
             .check("a_0", p.a_0, 0.0, 10.0)
+            .check("contraction_multiplier", p.contraction_multiplier, 0.0, 20.0)
             .check("n_d", p.n_d, 0.0, 20.0)
             .check("z_max", p.z_max, 0.0, 100.0)
             .check("c_z", p.c_z, 0.0, 1e5)
@@ -56,7 +57,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// Lode angle   cos3θ = √6 tr n³,   g = 2c/((1+c) − (1−c)cos3θ),   c = M_e/M_c                  (4)
 /// bounding     α^b = √⅔ (g M_c e^{−n_b Ψ} − m) n,   dilatancy α^d = √⅔ (g M_c e^{n_d Ψ} − m) n   (5)
 /// hardening    dα = ⟨L⟩ ⅔ h (α^b−α),   h = b₀/((α−α_in):n),   b₀ = G₀h₀(1−c_h e)/√(p̄/p_a)        (6)
-/// dilatancy    D = A₀(1+⟨z:n⟩) (α^d−α):n                                                       (7)
+/// dilatancy    D = A₀(1+⟨z:n⟩) (α^d−α):n, times k where it contracts (D > 0)                      (7)
 /// fabric       dz = −c_z ⟨−dε_v^p⟩ (z_max n + z)                                               (8)
 /// flow         R = B n − C(n² − I/3) + D I/3,  B = 1+1.5(1−c)/c g cos3θ,  C = 3√1.5 (1−c)/c g   (9)
 /// multiplier   L = (2G n:de − K (n:r) dε_v) / (K_p + 2G(B − C tr n³) − K D (n:r)),
@@ -72,6 +73,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | h₀, c_h, n_b | `h_0`, `c_h`, `n_b` | – | hardening |
 /// | A₀, n_d, z_max, c_z | `a_0`, `n_d`, `z_max`, `c_z` | – | dilatancy, fabric |
 /// | e_ini, K_w | `e_ini`, `k_w_gpa` | –, GPa | 0.2…2.5, 0…10 |
+/// | k | `contraction_multiplier` | – | 0…20; 1 is the paper's law |
 /// | η/G | `viscosity_s` | s | 0…0.01 |
 /// | state | s, p̄, α, z, α_in (xx, yy, xy), e, G₀ | `[15]` | Pa, – |
 ///
@@ -119,6 +121,8 @@ struct Sanisand {
     n_b: f64,
     /// Dilatancy A₀.
     a_0: f64,
+    /// Factor k on the dilatancy where it is contraction: what builds up pore pressure.
+    contraction_multiplier: f64,
     /// Dilatancy surface n_d.
     n_d: f64,
     /// Fabric z_max.
@@ -162,6 +166,7 @@ impl Default for Sanisand {
             c_h: 0.968,
             n_b: 1.10,
             a_0: 0.704,
+            contraction_multiplier: 1.0,
             n_d: 3.50,
             z_max: 4.0,
             c_z: 600.0,

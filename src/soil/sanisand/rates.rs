@@ -53,6 +53,7 @@ pub(super) struct Constants {
     n_b: f64,
     n_d: f64,
     a_0: f64,
+    contraction: f64,
     pub z_max: f64,
     pub c_z: f64,
 }
@@ -80,6 +81,7 @@ impl Constants {
             n_b: law.n_b,
             n_d: law.n_d,
             a_0: law.a_0,
+            contraction: law.contraction_multiplier,
             z_max: law.z_max,
             c_z: law.c_z,
         }
@@ -147,7 +149,7 @@ impl<L: Lane> Rates<L> {
         let fabric = dot(s.z, n).max(zero);
         let full = L::splat(c.a_0) * (one + fabric) * (dilatant - alpha_n); // (7)
         let y = (p * L::splat(1.0 / c.p_t)).min(one);
-        let faded = full * y * y * (L::splat(3.0) - (y + y));
+        let faded = L::splat(c.contraction) * full * y * y * (L::splat(3.0) - (y + y));
         let d = L::select(L::lt(zero, full), faded, full);
 
         let shape = L::splat((1.0 - c.c) / c.c) * lode;
