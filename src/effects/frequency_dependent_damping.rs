@@ -1,7 +1,7 @@
-//! Damping that the declared column lacks, of Rayleigh form.
+//! Damping whose dependence on frequency is not the declared one.
 
-use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation};
-use crate::column::Profile;
+use super::{Array, Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
+use crate::column::{Layer, Profile};
 use crate::error::Result;
 use crate::registry;
 use schemars::JsonSchema;
@@ -9,17 +9,14 @@ use serde::{Deserialize, Serialize};
 
 pub(super) const ENTRY: Entry = Entry {
     name: "frequency_dependent_damping",
-    about: "mass- and stiffness-proportional damping beyond the declared one",
+    about: "damping grows or falls with frequency: Rayleigh damping beyond the declared one, or a power of the frequency",
     build: |table| Ok(Box::new(registry::params::<FrequencyDependentDamping>(table)?.checked()?)),
     schema: || schemars::schema_for!(FrequencyDependentDamping),
     catalogue: Catalogue {
         number: 4,
         class: Class::Soil,
         parameters: PARAMETERS,
-        instances: |_| {
-            let free = PARAMETERS.iter().map(|p| Free::new(p, 0.0));
-            free.map(|f| Instance::new(ENTRY.name, [], vec![f])).collect()
-        },
+        instances,
         confused_with: &["small_strain_damping", "instrument_low_pass"],
         key: "the misfit of the second mode over that of the first",
     },
@@ -48,24 +45,60 @@ const PARAMETERS: &[Parameter] = &[
         draw: [0.4, 1.5],
         is_signed: false,
     },
+    Parameter {
+        name: "exponent",
+        unit: "",
+        zero: Some(0.0),
+        low: -EXPONENT,
+        high: EXPONENT,
+        scale: Scale::Linear,
+        prior_sd: 0.2,
+        draw: [0.25, 0.5],
+        is_signed: true,
+    },
 ];
 
-/// Adds Rayleigh damping to the column.
+/// Largest power that the memory of a law follows.
+const EXPONENT: f64 = 0.6;
+/// Laws whose small-strain damping is memory of their stress, ξ₀ (f/f_r)ⁿ.
+const LAWS_WITH_MEMORY: [&str; 2] = ["elastic", "hyperbolic"];
+
+/// Each coefficient for the whole column; the exponent where there is small-strain damping that has one.
+fn instances(array: &Array) -> Vec<Instance> {
+    let has_exponent = array.profile.layers.iter().any(has_memory);
+    let offered = PARAMETERS.iter().filter(|p| p.name != "exponent" || has_exponent);
+    offered.map(|p| Instance::new(ENTRY.name, [], vec![Free::new(p, 0.0)])).collect()
+}
+
+/// Whether the layer's small-strain damping can depend on frequency: it is memory, and not declared to be none.
+fn has_memory(layer: &Layer) -> bool {
+    let undeclared = if layer.law_kind == "hyperbolic" { f64::MIN_POSITIVE } else { 0.0 };
+    LAWS_WITH_MEMORY.contains(&layer.law_kind.as_str()) && layers::number(layer, "damping_ratio", undeclared) > 0.0
+}
+
+/// Adds Rayleigh damping to the column, and makes the small-strain damping of a depth range a power of the frequency.
 ///
 /// ```text
-/// ξ(f) = α / (4 π f) + β π f + b f / f_r,   f_r = 5 Hz                  (1)
+/// ξ(f) = ξ₀ m (f/f_0)ⁿ + α / (4 π f) + β π f + b f / f_r,   f_0 = 3 Hz, f_r = 5 Hz                  (1)
 /// ```
+///
+/// ξ₀ (f/f_0)ⁿ is that of laws whose damping is memory of their stress (`elastic`, `hyperbolic`); without m and n it is the
+/// declared one, which does not depend on frequency unless the law declares an exponent, to which n is added. Rayleigh
+/// damping comes on top of any law.
 ///
 /// | symbol | field       | unit | range  |
 /// |--------|-------------|------|--------|
 /// | α      | `alpha_1_s` | 1/s  | 0…20   |
 /// | β      | `beta_s`    | s    | 0…0.05 |
 /// | b      | `slope`     | –    | 0…0.5  |
+/// | n      | `exponent`  | –    | −0.6…0.6 |
+/// | ln m   | `ln_ratio`  | –    | −3…3   |
+/// | range of m and n | `top_m`, `bottom_m` | m | ≥ 0 |
 ///
 /// b is β by another name: the damping ratio it adds at f_r.
 ///
-/// Limits: the same for every layer.
-/// Check:  the column's transfer function with Rayleigh damping against the exact one.
+/// Limits: α, β and b are the same for every layer; m and n are refused where no layer in the range has such damping.
+/// Check:  the column's transfer function with Rayleigh damping against the exact one; that of memory at its peaks.
 /// Source: Tao and Rathje (2019) on damping needed at four vertical arrays.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -76,6 +109,18 @@ struct FrequencyDependentDamping {
     beta_s: f64,
     #[serde(default)]
     slope: f64,
+    /// Exponent n of small-strain damping.
+    #[serde(default)]
+    exponent: f64,
+    /// ln of the factor m on its ratio.
+    #[serde(default)]
+    ln_ratio: f64,
+    /// Top of the range of exponent and ratio, m.
+    #[serde(default)]
+    top_m: f64,
+    /// Bottom of that range, m; the base where it is absent.
+    #[serde(default = "super::bottomless")]
+    bottom_m: f64,
 }
 
 /// f_r of (1), Hz.
@@ -87,13 +132,37 @@ impl FrequencyDependentDamping {
             ("alpha_1_s", self.alpha_1_s, 0.0, 20.0, "1/s"),
             ("beta_s", self.beta_s, 0.0, 0.05, "s"),
             ("slope", self.slope, 0.0, 0.5, ""),
+            ("exponent", self.exponent, -EXPONENT, EXPONENT, ""),
+            ("ln_ratio", self.ln_ratio, -3.0, 3.0, ""),
         ])?;
+        super::depth_range(self.top_m, self.bottom_m)?;
         Ok(self)
     }
 }
 
 impl Effect for FrequencyDependentDamping {
+    fn refusal(&self, profile: &Profile) -> Option<String> {
+        if self.exponent == 0.0 && self.ln_ratio == 0.0 {
+            return None;
+        }
+        let mut profile = profile.clone();
+        let is_met = layers::between(&mut profile, self.top_m, self.bottom_m).any(|layer| has_memory(layer));
+        let what = "no layer there has small-strain damping that can be a power of the frequency";
+        (!is_met).then(|| format!("{what} (law {}, `damping_ratio` not 0)", LAWS_WITH_MEMORY.join(" or ")))
+    }
+
     fn edit(&self, profile: &mut Profile, _: &Situation) {
+        if self.exponent != 0.0 || self.ln_ratio != 0.0 {
+            for layer in layers::between(profile, self.top_m, self.bottom_m).filter(|layer| has_memory(layer)) {
+                let exponent = layers::number(layer, "damping_exponent", 0.0) + self.exponent;
+                layers::set(layer, "damping_exponent", exponent.clamp(-EXPONENT, EXPONENT));
+                if self.ln_ratio != 0.0 && layer.law_kind == "hyperbolic" {
+                    layers::scale(layer, "damping_multiplier", 1.0, self.ln_ratio.exp());
+                } else if self.ln_ratio != 0.0 {
+                    layers::scale(layer, "damping_ratio", 0.0, self.ln_ratio.exp());
+                }
+            }
+        }
         profile.rayleigh.alpha_1_s += self.alpha_1_s;
         profile.rayleigh.beta_s += self.beta_s + self.slope / (std::f64::consts::PI * REFERENCE_HZ); // (1)
     }
@@ -114,5 +183,18 @@ mod tests {
         let beta_s = edited("slope = 0.03").beta_s;
         assert!((std::f64::consts::PI * 5.0 * beta_s - 0.03).abs() < 1e-15);
         assert_eq!(edited("slope = 0.0"), Default::default());
+    }
+
+    #[test]
+    fn a_power_of_the_frequency_is_set_in_its_range_for_laws_that_have_one() {
+        let build = |table: &str| (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
+        let mut profile = layers::tests::profile("hyperbolic");
+        build("exponent = 0.3\nln_ratio = 0.5\ntop_m = 2.0").edit(&mut profile, &Situation::default());
+        let declared = layers::tests::profile("hyperbolic");
+        assert_eq!(profile.layers[0], declared.layers[0]);
+        assert_eq!(layers::number(&profile.layers[1], "damping_exponent", 0.0), 0.3);
+        assert_eq!(layers::number(&profile.layers[1], "damping_multiplier", 1.0), 0.5f64.exp());
+        let refused = |kind: &str| build("exponent = 0.3").refusal(&layers::tests::profile(kind)).is_some();
+        assert_eq!(["hyperbolic", "elastic", "sanisand"].map(refused), [false, true, true]);
     }
 }

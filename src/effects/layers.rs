@@ -36,6 +36,18 @@ pub(super) fn between(profile: &mut Profile, top_m: f64, bottom_m: f64) -> impl 
     })
 }
 
+/// Why an effect on laws of these `kinds` between two depths has nothing to act on; `what` names what the others lack.
+pub(super) fn refusal(profile: &Profile, top_m: f64, bottom_m: f64, kinds: &[&str], what: &str) -> Option<String> {
+    let mut depth = 0.0;
+    let is_met = profile.layers.iter().any(|layer| {
+        let top = depth;
+        depth += layer.thickness_m;
+        top < bottom_m && depth > top_m && kinds.contains(&layer.law_kind.as_str())
+    });
+    let range = format!("{top_m}…{} m", bottom_m.min(profile.depth_m()));
+    (!is_met).then(|| format!("no layer in {range} follows a law with {what} ({})", kinds.join(", ")))
+}
+
 /// A number of a layer's law, `default` where the law does not give it.
 pub(super) fn number(layer: &Layer, key: &str, default: f64) -> f64 {
     let value = layer.law.get(key);

@@ -15,10 +15,13 @@ mod baseline_tilt;
 mod clock_offset;
 mod compliant_base;
 mod container_boundary;
+mod contractancy;
+mod curve_shape;
 mod directional_anisotropy;
 mod frequency_dependent_damping;
 mod instrument_high_pass;
 mod instrument_low_pass;
+mod interface_depth;
 mod interface_slip;
 mod layer_velocity;
 mod machine_hum;
@@ -61,6 +64,11 @@ pub trait Effect: Send + Sync {
 
     /// Edits the set-up of the column.
     fn edit(&self, _profile: &mut Profile, _situation: &Situation) {}
+
+    /// Why it has nothing to act on in `profile`, where that is so.
+    fn refusal(&self, _profile: &Profile) -> Option<String> {
+        None
+    }
 
     /// The depth at which `sensor` really sits when it is declared at `depth_m`.
     fn depth_m(&self, _sensor: &str, depth_m: f64) -> f64 {
@@ -156,6 +164,9 @@ pub const EFFECTS: &[Entry] = &[
     stiff_crust::ENTRY,
     container_boundary::ENTRY,
     rate_dependence::ENTRY,
+    contractancy::ENTRY,
+    curve_shape::ENTRY,
+    interface_depth::ENTRY,
 ];
 
 /// The registered effect `kind`.
@@ -205,11 +216,12 @@ pub fn apply(tables: &[toml::Table], profile: &mut Profile, situation: &Situatio
     Ok(())
 }
 
-/// Checks that `tables` name sensors and components of `array` only.
+/// Checks that `tables` name sensors and components of `array` only and that each has something to act on.
 ///
 /// # Errors
-/// As [`build`], and when a name is unknown.
-pub fn check_names(tables: &[toml::Table], array: &Array) -> Result<()> {
+/// As [`build`], when a name is unknown, and when an effect would change nothing whatever its strength.
+pub fn check(tables: &[toml::Table], array: &Array) -> Result<()> {
+    let mut profile = array.profile.clone();
     let sensors: Vec<&str> = array.sensors().collect();
     let components: Vec<&str> = array.components.iter().map(String::as_str).collect();
     for (i, effect) in build_all(tables)?.iter().enumerate() {
@@ -222,8 +234,30 @@ pub fn check_names(tables: &[toml::Table], array: &Array) -> Result<()> {
         };
         effect.sensors().into_iter().try_for_each(|name| known("sensor", &sensors, name))?;
         effect.component().map_or(Ok(()), |name| known("component", &components, name))?;
+        if let Some(why) = effect.refusal(&profile) {
+            let kind = tables[i].get("kind").and_then(toml::Value::as_str).unwrap_or_default();
+            let error = Error::new(format!("`{kind}` has nothing to act on: {why}")).hint("take it out");
+            return Err(error.usage().at(format!("effect {}", i + 1)));
+        }
+        effect.edit(&mut profile, &Situation::default());
     }
     Ok(())
+}
+
+/// `tables` without those that have nothing to act on in `profile`: what a diagnosis recalibrates is asked of every column.
+///
+/// # Errors
+/// As [`build`].
+pub fn acting(tables: &[toml::Table], profile: &Profile) -> Result<Vec<toml::Table>> {
+    let mut profile = profile.clone();
+    let mut kept = Vec::with_capacity(tables.len());
+    for (table, effect) in tables.iter().zip(build_all(tables)?) {
+        if effect.refusal(&profile).is_none() {
+            effect.edit(&mut profile, &Situation::default());
+            kept.push(table.clone());
+        }
+    }
+    Ok(kept)
 }
 
 /// Checks ranges of a table's numbers: (name, value, lowest, highest, unit).

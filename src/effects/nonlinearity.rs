@@ -16,11 +16,17 @@ pub(super) const ENTRY: Entry = Entry {
         number: 5,
         class: Class::Soil,
         parameters: PARAMETERS,
-        instances: |_| vec![Instance::new(ENTRY.name, [], vec![Free::new(&PARAMETERS[0], 0.0)])],
+        instances: |array| {
+            let whole = || Instance::new(ENTRY.name, [], vec![Free::new(&PARAMETERS[0], 0.0)]);
+            array.has_law(&LAWS_WITH_STRENGTH).then(whole).into_iter().collect()
+        },
         confused_with: &["pore_pressure", "ageing", "rate_dependence", "interface_slip"],
         key: "apparent velocity falls with the strength of the motion, not with its order",
     },
 };
+
+/// Laws with a parameter that takes (1).
+const LAWS_WITH_STRENGTH: [&str; 4] = ["hyperbolic", "sanisand", "cam_clay", "mohr_coulomb"];
 
 const PARAMETERS: &[Parameter] = &[Parameter {
     name: "ln_gamma_ref",
@@ -46,7 +52,7 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 /// | `sanisand`     | `h_0`                           | plastic strain at a stress ratio goes with 1/h₀ while α ≪ α^b |
 /// | `cam_clay`     | `m`                             | strength over stiffness goes with M |
 /// | `mohr_coulomb` | `cohesion_kpa`, tan of `friction_angle_deg` | strength over stiffness goes with both |
-/// | `elastic`      | none                            | there is no reference strain |
+/// | `elastic`      | none, refused                   | there is no reference strain |
 ///
 /// | symbol       | field              | unit | range |
 /// |--------------|--------------------|------|-------|
@@ -79,6 +85,10 @@ impl Nonlinearity {
 }
 
 impl Effect for Nonlinearity {
+    fn refusal(&self, profile: &Profile) -> Option<String> {
+        layers::refusal(profile, self.top_m, self.bottom_m, &LAWS_WITH_STRENGTH, "a reference strain")
+    }
+
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.ln_gamma_ref == 0.0 {
             return;

@@ -1,6 +1,6 @@
 //! Strength that grows with the rate of strain.
 
-use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation};
+use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
 use crate::column::{Profile, RateZone};
 use crate::error::Result;
 use crate::registry;
@@ -43,7 +43,7 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 /// | symbol | field               | unit | range |
 /// |--------|---------------------|------|-------|
 /// | β      | `per_log_cycle`     | –    | 0…0.5 |
-/// | where  | `law`               | –    | a kind of law; all laws where absent |
+/// | where  | `law`               | –    | a kind of law; all with a strength where absent |
 /// | range  | `top_m`, `bottom_m` | m    | element centres |
 ///
 /// Limits: those of the rate dependence: small-strain stiffness and pore pressure do not depend on the rate.
@@ -80,6 +80,15 @@ impl RateDependence {
 }
 
 impl Effect for RateDependence {
+    fn refusal(&self, profile: &Profile) -> Option<String> {
+        let with_strength = ["hyperbolic", "mohr_coulomb", "cam_clay", "sanisand"];
+        let kinds: Vec<&str> = self
+            .law
+            .as_deref()
+            .map_or(with_strength.to_vec(), |kind| with_strength.into_iter().filter(|k| *k == kind).collect());
+        layers::refusal(profile, self.top_m, self.bottom_m, &kinds, "a strength that grows")
+    }
+
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.per_log_cycle > 0.0 {
             profile.features.rates.push(RateZone {

@@ -178,7 +178,7 @@ fn the_catalogue_is_consistent() {
             let names: Vec<&str> = instance.free.iter().map(|f| f.parameter.name).collect();
             assert!(names.iter().all(|n| catalogue.parameters.iter().any(|p| p.name == *n)), "{}", entry.name);
             build(&instance.at(&instance.start())).unwrap_or_else(|e| panic!("{}: {e}", entry.name));
-            check_names(&[instance.at(&instance.start())], &array()).unwrap();
+            check(&[instance.at(&instance.start())], &array()).unwrap();
         }
     }
 }
@@ -186,7 +186,7 @@ fn the_catalogue_is_consistent() {
 #[test]
 fn a_sensor_that_does_not_exist_is_named_with_the_nearest() {
     let table: toml::Table = toml::from_str("kind = 'sensor_gain'\nsensor = 'tpo'\nln_gain = 0.1").unwrap();
-    let error = check_names(&[table], &array()).unwrap_err();
+    let error = check(&[table], &array()).unwrap_err();
     assert!(error.to_string().contains("no sensor `tpo`") && error.hint_text().unwrap().contains("nearest: `top`"));
 }
 
@@ -196,4 +196,66 @@ fn seams_at_two_depths_are_alike_and_two_dampings_are_not() {
     let (seams, dampings) = (of("thin_seam"), of("frequency_dependent_damping"));
     assert!(seams.len() > 1 && seams[0].is_alike(&seams[1]) && seams[0] != seams[1]);
     assert!(dampings.len() > 1 && !dampings[0].is_alike(&dampings[1]));
+}
+
+/// The array with every layer following one law, all of them with 2 % of small-strain damping.
+fn of_one_law(law_kind: &str) -> Array {
+    let mut array = array();
+    array.profile.elements = 20;
+    for layer in &mut array.profile.layers {
+        layer.law_kind = law_kind.into();
+        layers::set(layer, "damping_ratio", 0.02);
+    }
+    array
+}
+
+/// Surface motion of the column of `array` under `table`, shaken hard.
+fn surface(array: &Array, table: Option<&toml::Table>) -> Vec<f64> {
+    let situation = Situation { component: Some(0), order: Some(2.0) };
+    let mut profile = array.profile.clone();
+    apply(table.map(std::slice::from_ref).unwrap_or_default(), &mut profile, &situation).unwrap();
+    let base: Vec<f64> = motions()[0][0][250..500].iter().map(|a| 6.0 * a).collect();
+    let mut rows = Vec::new();
+    let column = Column::new(&profile, &Analysis::default()).unwrap_or_else(|e| panic!("{table:?}: {e}"));
+    let take = &mut |frame: &crate::column::Frame<'_>| {
+        rows.push(frame.surface_m_s2);
+        Ok(())
+    };
+    column.run(0.01, &base, take).unwrap_or_else(|e| panic!("{table:?}: {e}"));
+    rows
+}
+
+#[test]
+fn with_every_law_every_effect_on_the_column_changes_its_motion_or_is_refused() {
+    let mut random = crate::numerics::random::stream(7, "catalogue test");
+    let everywhere = all_instances();
+    for law in crate::soil::LAWS {
+        let array = of_one_law(law.name);
+        let plain = surface(&array, None);
+        let size: f64 = plain.iter().map(|a| a * a).sum();
+        let offered = instances(&array);
+        for entry in EFFECTS.iter().filter(|e| e.catalogue.class != Class::Sensor) {
+            let mut tried: Vec<&Instance> = Vec::new();
+            let elsewhere = everywhere.iter().map(|(_, i)| i);
+            for instance in offered.iter().chain(elsewhere).filter(|i| i.kind == entry.name) {
+                if tried.iter().any(|t| t.is_alike(instance) && t.target.get("law") == instance.target.get("law")) {
+                    continue;
+                }
+                tried.push(instance);
+                let table = instance.draw(&mut random);
+                if build(&table).unwrap().arrival(0.0, 1.0).is_some() {
+                    continue;
+                }
+                if let Err(error) = check(std::slice::from_ref(&table), &array) {
+                    assert!(error.to_string().contains("has nothing to act on"), "{error}");
+                    assert!(!offered.contains(instance), "{} offers {table:?} and refuses it", law.name);
+                    println!("{}: {error}", law.name);
+                    continue;
+                }
+                let moved = surface(&array, Some(&table));
+                let change: f64 = moved.iter().zip(&plain).map(|(a, b)| (a - b).powi(2)).sum();
+                assert!(change > 1e-8 * size, "{}: {table:?} changes nothing", law.name);
+            }
+        }
+    }
 }

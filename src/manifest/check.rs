@@ -40,7 +40,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
     }
     let components = site.records.as_ref().map(|r| r.components.clone()).unwrap_or_default();
     if problems.is_empty()
-        && let Err(error) = site.column().array(&components).and_then(|a| effects::check_names(&site.effects, &a))
+        && let Err(error) = site.column().array(&components).and_then(|a| effects::check(&site.effects, &a))
     {
         problems.push(from_error("effects".into(), &error));
     }

@@ -5,6 +5,7 @@
 
 use super::diagnose;
 use crate::diagnosis::{Diagnosis, Found, Verdict};
+use crate::effects;
 use crate::error::{Context, Result};
 use crate::pipeline::{Stage, Task};
 use std::fs;
@@ -29,11 +30,11 @@ impl Stage for Recalibrate {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
-        &["effects"]
+        &["site", "law", "effects", "sensors", "analysis"]
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
@@ -52,11 +53,11 @@ impl Stage for Correct {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
-        &["effects"]
+        &["site", "law", "effects", "sensors", "analysis"]
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
@@ -85,10 +86,10 @@ pub fn correction(diagnosis: &Diagnosis) -> Vec<Table> {
     [tables(standing), nuisances.clone(), tables(found)].concat()
 }
 
-/// Writes the section `effects`: those of the manifest, then those `added`.
+/// Writes the section `effects`: those of the manifest, then those `added` that have something to act on.
 fn write(task: &Task<'_>, added: &[Table]) -> Result<()> {
     let mut effects: Vec<Table> = task.optional("effects")?.unwrap_or_default();
-    effects.extend(added.iter().cloned());
+    effects.extend(effects::acting(added, &super::records::column(task)?.declared_profile()?)?);
     let mut manifest = Table::new();
     if !effects.is_empty() {
         manifest.insert("effects".into(), Value::Array(effects.into_iter().map(Value::Table).collect()));

@@ -112,7 +112,7 @@ pub fn measured(settings: &RecordSettings, sections: &ColumnSections) -> Result<
     if let Some(path) = &settings.truth {
         let truth = Truth::load(Path::new(path))?;
         let checked = truth.check_alters().and_then(|()| {
-            effects::check_names(&truth.effects, &sections.array(&settings.components)?)?;
+            effects::check(&truth.effects, &sections.array(&settings.components)?)?;
             Instrument::new(&sections.sensors, sections.site.depth_m, &truth.effects)
         });
         let instrument = checked.map_err(|e| e.at(format!("`{path}`")))?;

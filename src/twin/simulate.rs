@@ -44,7 +44,7 @@ pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'
     let array = site_of_truth.array(&truth.components())?;
     let mut tables = draw(&array, tolerances, truth.seed);
     tables.extend(truth.effects.clone());
-    effects::check_names(&truth.effects, &array)?;
+    effects::check(&truth.effects, &array)?;
     let mut analysis = site.analysis.clone();
     analysis.max_step_s = truth.max_step_s;
     analysis.initial_step_s = analysis.initial_step_s.min(truth.max_step_s);
