@@ -43,6 +43,7 @@ pub struct FastColumn {
     structure: Structure,
     depth_m: f64,
     travel_s: f64,
+    is_dispersive: bool,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -139,7 +140,15 @@ impl FastColumn {
             structure: column.structure(),
             depth_m: coarse.depth_m(),
             travel_s: coarse.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum(),
+            is_dispersive: true,
         })
+    }
+
+    /// The same column with moduli G (1 + i Im K/Re K) that do not grow with frequency, as frequency-domain programs have
+    /// them: what differs between both is a convention of how damping is idealised and no property of a site.
+    #[must_use]
+    pub fn without_dispersion(self) -> Self {
+        Self { is_dispersive: false, ..self }
     }
 
     /// Number of elements.
@@ -193,7 +202,11 @@ impl FastColumn {
             let (ratio, damping) = element.curve.at(*gamma);
             let (factor, added) = tuning.at(element.depth_m / self.depth_m);
             let (modulus, damping) = (element.shear_modulus_pa * ratio * factor, (damping + added).max(0.0));
-            stiffness.set(modulus, damping, element.relaxation.as_ref(), &springs);
+            match &element.relaxation {
+                Some(relaxation) => stiffness.relax(relaxation, &springs, self.is_dispersive),
+                None => stiffness.start(1.0),
+            }
+            stiffness.scale(modulus, 2.0 * damping * modulus);
             stiffness.add(element.container_pa, element.beta_s * element.shear_modulus_pa, &omega);
             let node = [self.mass[i], self.damping[i]];
             let slot = i * n..(i + 1) * n;
@@ -284,23 +297,33 @@ struct Stiffness {
 }
 
 impl Stiffness {
-    /// G (1 + 2iD) K.
-    fn set(&mut self, modulus: f64, damping: f64, relaxation: Option<&Relaxation>, springs: &Springs) {
-        let loss = 2.0 * damping * modulus;
-        let Some(relaxation) = relaxation else {
-            self.re.fill(modulus);
-            self.im.fill(loss);
-            return;
-        };
-        self.re.fill(relaxation.rest * modulus);
-        self.im.fill(relaxation.rest * loss);
+    /// A real constant.
+    fn start(&mut self, value: f64) {
+        self.re.fill(value);
+        self.im.fill(0.0);
+    }
+
+    /// K of a relaxation; without dispersion over its real part.
+    fn relax(&mut self, relaxation: &Relaxation, springs: &Springs, is_dispersive: bool) {
+        self.start(relaxation.rest);
         for (weight, [spring_re, spring_im]) in relaxation.weights.iter().zip(&springs.0) {
-            let (a, b) = (weight * modulus, weight * loss);
             let parts = self.re.iter_mut().zip(&mut self.im).zip(spring_re.iter().zip(spring_im));
             for ((re, im), (x, y)) in parts {
-                *re += a * x - b * y;
-                *im += a * y + b * x;
+                *re += weight * x;
+                *im += weight * y;
             }
+        }
+        if !is_dispersive {
+            for (re, im) in self.re.iter_mut().zip(&mut self.im) {
+                (*re, *im) = (1.0, *im / *re);
+            }
+        }
+    }
+
+    /// Times a complex constant.
+    fn scale(&mut self, factor_re: f64, factor_im: f64) {
+        for (re, im) in self.re.iter_mut().zip(&mut self.im) {
+            (*re, *im) = (factor_re * *re - factor_im * *im, factor_re * *im + factor_im * *re);
         }
     }
 
