@@ -98,7 +98,7 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     let rows = found["errors"].as_array().expect("a list");
     assert_eq!(rows.len(), 8 * 2 * 2, "events, components, sensors");
     for row in rows {
-        for name in ["declared", "recalibrated", "corrected", "flare_before", "flare_after", "noise_floor"] {
+        for name in ["declared", "recalibrated", "corrected", "flare_before", "flare_after", "noise_floor", "ceiling"] {
             assert!(row["nrmse_percent"][name].is_number(), "{row}");
         }
     }
@@ -165,7 +165,7 @@ fn what_has_no_name_is_called_unknown_and_corrected_without_physics_under_the_sa
     // A shape that is the same in all events is taken off events that nobody looked at.
     let change = &generic["changes"][0];
     assert_eq!((&change["from"], &change["to"]), (&"fe".into(), &"fe_generic".into()));
-    assert!(change["median_points"].as_f64().is_some_and(|points| points < -2.0), "{change}");
+    assert!(change["mean"].as_f64().is_some_and(|points| points < -2.0), "{change}");
     let report = fs::read_to_string(place.path("runs/smoke/report.html")).expect("a report");
     assert!(report.contains("without physical meaning") && report.contains("FE with factors"));
 }

@@ -113,13 +113,20 @@ fn lines(name: &str, tally: &Tally) {
         })
     };
     println!("{name}");
+    println!("  right class          {}", share(&tally.right_class));
+    println!("  confident wrong      {}", share(&tally.wrong));
+    if tally.null_alarms.of > 0 {
+        println!("  null alarms          {}", share(&tally.null_alarms));
+    }
+    if tally.outside_unknown.of > 0 {
+        println!("  outside unknown      {}", share(&tally.outside_unknown));
+    }
+    println!("  interval holds truth {}", share(&tally.coverage));
     println!("  alarm                {}", share(&tally.alarms));
     println!("  unknown              {}", share(&tally.unknown));
     println!("  right name           {}", share(&tally.right));
-    println!("  known, wrong name    {}", share(&tally.wrong));
     println!("  best of the search   {}", share(&tally.top_1));
     println!("  among the best three {}", share(&tally.top_3));
-    println!("  interval holds truth {}", share(&tally.coverage));
     println!("  parameter error      {}", spread(&tally.parameter_error, 1.0));
     println!("  corrected / floor    {}", spread(&tally.corrected_over_floor, 1.0));
     let nrmse = &tally.nrmse_percent;

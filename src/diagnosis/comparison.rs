@@ -1,10 +1,13 @@
-//! Was it worth it? Six errors side by side on every recorded event, and which of their differences may be claimed.
+//! Was it worth it? Six errors side by side on every recorded event, the ceiling beside them, and which of their differences may be
+//! claimed, measure by measure.
 
-use crate::metrics::{median, median_interval};
+use crate::metrics::{Claimed, FieldSummary, Measures, PairedDifference, SensorTransfer, median};
 use crate::records::Split;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
-/// One value for each of six predictions, in the order in which a loop is closed; `None` where there is none.
+/// One value for each of six predictions, in the order in which a loop is closed, and the ceiling beside them; `None` where there is
+/// none.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Six<T> {
     /// Finite elements as declared.
@@ -19,11 +22,13 @@ pub struct Six<T> {
     pub flare_after: T,
     /// What sensor noise leaves to the right model.
     pub noise_floor: T,
+    /// What anything that is the same in all events leaves: the best of filters fitted to training events.
+    pub ceiling: T,
 }
 
 impl<T> Six<T> {
     /// Names and values in order.
-    pub fn named(&self) -> [(&'static str, &T); 6] {
+    pub fn named(&self) -> [(&'static str, &T); 7] {
         [
             ("declared", &self.declared),
             ("recalibrated", &self.recalibrated),
@@ -31,6 +36,7 @@ impl<T> Six<T> {
             ("flare_before", &self.flare_before),
             ("flare_after", &self.flare_after),
             ("noise_floor", &self.noise_floor),
+            ("ceiling", &self.ceiling),
         ]
     }
 
@@ -43,6 +49,7 @@ impl<T> Six<T> {
             flare_before: change(&self.flare_before),
             flare_after: change(&self.flare_after),
             noise_floor: change(&self.noise_floor),
+            ceiling: change(&self.ceiling),
         }
     }
 }
@@ -60,20 +67,29 @@ pub struct ErrorRow {
     pub split: Split,
     /// NRMSE against the record as measured, %.
     pub nrmse_percent: Six<Option<f64>>,
+    /// The same in the band in which the site is coherent, %; over all frequencies where no coherence is known.
+    pub nrmse_coherent_percent: Six<Option<f64>>,
+    /// The field's measures by model: the predictions, `ceiling`, and `other_component`, the other horizontal record taken for a
+    /// prediction of this one.
+    pub measures: BTreeMap<String, Option<Measures>>,
 }
 
 /// The paired difference of two predictions over the held-out events.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Change {
+    /// What is compared.
+    pub measure: Claimed,
     /// The prediction that is compared with.
     pub from: String,
     /// The prediction that should be better.
     pub to: String,
-    /// Median of the differences of NRMSE, percentage points; negative is better.
-    pub median_points: f64,
-    /// 95 % interval of that median over events.
-    pub ci95_points: [f64; 2],
-    /// Whether the whole interval lies below zero, with two events or more behind it.
+    /// Mean over events of the difference, in the unit of the measure; negative is better.
+    pub mean: f64,
+    /// 95 % interval of that mean after Student; `None` for one event.
+    pub ci95: Option<[f64; 2]>,
+    /// Two-sided p of the exact sign test.
+    pub sign_test_p: f64,
+    /// Whether the whole interval lies below zero, with three events or more behind it.
     pub is_improved: bool,
     /// Events that both predictions have.
     pub n_event: usize,
@@ -84,11 +100,23 @@ pub struct Change {
 pub struct Summary {
     /// Medians over events, components and sensors.
     pub test_median_nrmse_percent: Six<Option<f64>>,
-    /// 95 % intervals of those medians over events.
+    /// Means over events of the means over components and sensors.
+    pub test_mean_nrmse_percent: Six<Option<f64>>,
+    /// 95 % intervals of those means after Student.
     pub test_ci95_nrmse_percent: Six<Option<[f64; 2]>>,
+    /// Medians in the coherent band.
+    pub test_median_nrmse_coherent_percent: Six<Option<f64>>,
     /// Median with the simulations as declared and the calibration alone on the corrected manifest.
     pub test_median_ablation_percent: Option<f64>,
-    /// Paired differences.
+    /// Edges of the bands of the Fourier amplitude, Hz.
+    pub fourier_bands_hz: Vec<[f64; 2]>,
+    /// Edges of the bands of the response spectrum, s.
+    pub psa_bands_s: Vec<[f64; 2]>,
+    /// The field's measures by model.
+    pub test_measures: BTreeMap<String, FieldSummary>,
+    /// Transfer functions of all weak events, by component and sensor.
+    pub transfer: Vec<SensorTransfer>,
+    /// Paired differences, measure by measure.
     pub changes: Vec<Change>,
 }
 
@@ -101,14 +129,27 @@ const PAIRS: [(&str, &str); 4] = [
     ("corrected", "flare_after"),
 ];
 
+impl ErrorRow {
+    /// One error of one model; `None` where there is none.
+    fn error(&self, measure: Claimed, model: &str) -> Option<f64> {
+        let of_field = || self.measures.get(model)?.as_ref();
+        match measure {
+            Claimed::NrmsePercent => of_model(&self.nrmse_percent, model),
+            Claimed::LnFourier => of_field()?.ln_fourier_by_hz.rms,
+            Claimed::LnPsa => of_field()?.ln_psa_by_s.rms,
+        }
+    }
+}
+
+fn of_model(six: &Six<Option<f64>>, model: &str) -> Option<f64> {
+    six.named().iter().find(|(name, _)| *name == model)?.1.as_ref().copied()
+}
+
 impl Summary {
-    /// Medians and paired differences over the held-out `rows`, `ablation` being the errors of the ablation beside them.
-    pub fn of(rows: &[ErrorRow], ablation: &[Option<f64>], seed: u64) -> Self {
+    /// Medians, means and paired differences over the held-out `rows`, `ablation` being the errors of the ablation beside them, and the
+    /// transfer functions as given.
+    pub fn of(rows: &[ErrorRow], ablation: &[Option<f64>], transfer: Vec<SensorTransfer>) -> Self {
         let tests: Vec<&ErrorRow> = rows.iter().filter(|r| r.split == Split::Test).collect();
-        let pick = |row: &ErrorRow, name: &str| {
-            row.nrmse_percent.named().iter().find(|(n, _)| *n == name)?.1.as_ref().copied()
-        };
-        let over = |name: &str| by_event(tests.iter().map(|row| (row.event.as_str(), pick(row, name))));
         let names = Six {
             declared: "declared",
             recalibrated: "recalibrated",
@@ -116,43 +157,91 @@ impl Summary {
             flare_before: "flare_before",
             flare_after: "flare_after",
             noise_floor: "noise_floor",
+            ceiling: "ceiling",
         };
-        let all = |events: Vec<Vec<f64>>| events.concat();
         let middle = |values: Vec<f64>| (!values.is_empty()).then(|| median(&values));
+        let median_of = |pick: fn(&ErrorRow) -> &Six<Option<f64>>| {
+            let values = |name: &&str| tests.iter().filter_map(|row| of_model(pick(row), name)).collect();
+            names.map(|name| middle(values(name)))
+        };
+        let over_events = |measure: Claimed, name: &str| {
+            PairedDifference::of(&by_event(tests.iter().map(|row| (row.event.as_str(), row.error(measure, name)))))
+        };
+        let means = names.map(|name| over_events(Claimed::NrmsePercent, name));
         let beside =
             rows.iter().zip(ablation).filter(|(row, _)| row.split == Split::Test).filter_map(|(_, value)| *value);
-        let changes = PAIRS.iter().filter_map(|(from, to)| {
-            let difference = |row: &ErrorRow| Some(pick(row, to)? - pick(row, from)?);
-            Change::of(tests.iter().map(|row| (row.event.as_str(), difference(row))), from, to, seed)
+        let changes = Claimed::ALL.into_iter().flat_map(|measure| PAIRS.map(|pair| (measure, pair)));
+        let changes = changes.filter_map(|(measure, (from, to))| {
+            let difference = |row: &ErrorRow| Some(row.error(measure, to)? - row.error(measure, from)?);
+            Change::of(measure, tests.iter().map(|row| (row.event.as_str(), difference(row))), from, to)
         });
         Self {
-            test_median_nrmse_percent: names.map(|name| middle(all(over(name)))),
-            test_ci95_nrmse_percent: names.map(|name| median_interval(&over(name), seed)),
+            test_median_nrmse_percent: median_of(|row| &row.nrmse_percent),
+            test_mean_nrmse_percent: means.map(|m| m.map(|m| m.mean)),
+            test_ci95_nrmse_percent: means.map(|m| m.and_then(|m| m.ci95)),
+            test_median_nrmse_coherent_percent: median_of(|row| &row.nrmse_coherent_percent),
             test_median_ablation_percent: middle(beside.collect()),
+            fourier_bands_hz: crate::metrics::fourier_bands().edges,
+            psa_bands_s: crate::metrics::psa_bands().edges,
+            test_measures: measures(&tests),
+            transfer,
             changes: changes.collect(),
         }
     }
 }
 
+/// The field's measures of each model over `rows`.
+fn measures(rows: &[&ErrorRow]) -> BTreeMap<String, FieldSummary> {
+    let mut models: Vec<&String> = rows.iter().flat_map(|row| row.measures.keys()).collect();
+    models.sort_unstable();
+    models.dedup();
+    let of = |model: &&String| {
+        let own: Vec<&Measures> = rows.iter().filter_map(|row| row.measures.get(*model)?.as_ref()).collect();
+        Some(((*model).clone(), FieldSummary::of(&own)?))
+    };
+    models.iter().filter_map(of).collect()
+}
+
 impl Change {
-    /// The change `from` one prediction `to` another by their `differences` of NRMSE, each with its event; `None` without any.
+    /// The change `from` one prediction `to` another by their `differences` in `measure`, each with its event; `None` without any.
+    ///
+    /// The differences of one event share its motion: their mean counts, once.
     pub fn of<'a>(
+        measure: Claimed,
         differences: impl Iterator<Item = (&'a str, Option<f64>)>,
         from: &str,
         to: &str,
-        seed: u64,
     ) -> Option<Self> {
-        let events = by_event(differences);
-        let ci95_points = median_interval(&events, seed)?;
-        let n_event = events.len();
-        let is_improved = n_event >= 2 && ci95_points[1] < 0.0;
-        let median_points = median(&events.concat());
-        Some(Self { from: from.into(), to: to.into(), median_points, ci95_points, is_improved, n_event })
+        let found = PairedDifference::of(&by_event(differences))?;
+        let PairedDifference { mean, ci95, sign_test_p, n } = found;
+        let is_improved = found.is_below_zero();
+        Some(Self { measure, from: from.into(), to: to.into(), mean, ci95, sign_test_p, is_improved, n_event: n })
+    }
+
+    /// What the difference allows to say, for people.
+    pub fn claim(&self) -> String {
+        let Self { measure, from, to, n_event, .. } = self;
+        let held_out = if *n_event == 1 { "held-out event" } else { "held-out events" };
+        let interval = self.ci95.map_or(String::new(), |ends| {
+            let [low, high] = ends.map(|v| measure.written(v));
+            format!(" [{low}, {high}]")
+        });
+        let (mean, unit, p) = (measure.written(self.mean), measure.unit(), self.sign_test_p);
+        let numbers = format!("{mean}{unit}{interval} over {n_event} {held_out}, sign test p = {p:.2}");
+        let what = measure.name();
+        if self.is_improved {
+            format!("{what}: {to} improves on {from}: {numbers}")
+        } else if *n_event < PairedDifference::FEWEST {
+            let needed = PairedDifference::FEWEST;
+            format!("{what}: nothing is claimed of {to} against {from}, that takes {needed} held-out events: {numbers}")
+        } else {
+            format!("{what}: no improvement of {to} on {from} can be claimed: {numbers}")
+        }
     }
 }
 
-/// The finite ones of the values, one list an event.
-fn by_event<'a>(values: impl Iterator<Item = (&'a str, Option<f64>)>) -> Vec<Vec<f64>> {
+/// Means of the finite values of each event, in the order in which the events come.
+fn by_event<'a>(values: impl Iterator<Item = (&'a str, Option<f64>)>) -> Vec<f64> {
     let mut events: Vec<(&str, Vec<f64>)> = Vec::new();
     for (event, value) in values {
         let Some(value) = value.filter(|v| v.is_finite()) else { continue };
@@ -161,37 +250,82 @@ fn by_event<'a>(values: impl Iterator<Item = (&'a str, Option<f64>)>) -> Vec<Vec
             None => events.push((event, vec![value])),
         }
     }
-    events.into_iter().map(|(_, values)| values).collect()
+    events.into_iter().map(|(_, values)| values.iter().sum::<f64>() / values.len() as f64).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::metrics::LnRatio;
 
     fn row(event: &str, split: Split, recalibrated: f64, corrected: Option<f64>) -> ErrorRow {
         let nrmse_percent = Six { recalibrated: Some(recalibrated), corrected, ..Six::default() };
-        ErrorRow { event: event.into(), component: "EW".into(), sensor: "S".into(), split, nrmse_percent }
+        let (event, component, sensor) = (event.into(), "EW".into(), "S".into());
+        let nrmse_coherent_percent = Six::default();
+        ErrorRow { event, component, sensor, split, nrmse_percent, nrmse_coherent_percent, measures: BTreeMap::new() }
+    }
+
+    fn summary(rows: &[ErrorRow]) -> Summary {
+        Summary::of(rows, &[], Vec::new())
     }
 
     #[test]
-    fn an_improvement_is_claimed_only_where_every_resample_agrees() {
+    fn an_improvement_is_claimed_only_where_the_interval_excludes_none() {
         let clear: Vec<ErrorRow> =
             (0..5).map(|i| row(&format!("E{i}"), Split::Test, 40.0 + f64::from(i), Some(20.0))).collect();
-        let summary = Summary::of(&clear, &[None; 5], 1);
-        let change = &summary.changes[0];
+        let found = summary(&clear);
+        let change = &found.changes[0];
         assert_eq!((change.from.as_str(), change.to.as_str(), change.n_event), ("recalibrated", "corrected", 5));
-        assert!(change.is_improved && change.median_points == -22.0 && change.ci95_points[1] <= -20.0);
-        assert_eq!(summary.test_median_nrmse_percent.corrected, Some(20.0));
-        assert_eq!(summary.test_median_nrmse_percent.flare_after, None);
+        assert!(change.is_improved && (change.mean + 22.0).abs() < 1e-9 && change.claim().contains("improves on"));
+        assert_eq!(found.test_median_nrmse_percent.corrected, Some(20.0));
+        assert_eq!(found.test_median_nrmse_percent.flare_after, None);
         let mixed =
             [clear.clone(), vec![row("E9", Split::Test, 10.0, Some(60.0)), row("E8", Split::Test, 10.0, Some(60.0))]];
-        assert!(!Summary::of(&mixed.concat(), &[], 1).changes[0].is_improved);
+        assert!(!summary(&mixed.concat()).changes[0].is_improved);
+    }
+
+    #[test]
+    fn an_event_counts_once_however_many_sensors_it_has() {
+        let mut rows: Vec<ErrorRow> = (0..20).map(|_| row("A", Split::Test, 50.0, Some(20.0))).collect();
+        rows.push(row("B", Split::Test, 30.0, Some(29.0)));
+        rows.push(row("C", Split::Test, 30.0, Some(29.5)));
+        let change = &summary(&rows).changes[0];
+        assert_eq!(change.n_event, 3);
+        assert!((change.mean + 31.5 / 3.0).abs() < 1e-9 && !change.is_improved, "{change:?}");
+    }
+
+    #[test]
+    fn two_events_claim_nothing_and_say_so() {
+        let rows = [row("A", Split::Test, 50.0, Some(20.0)), row("B", Split::Test, 50.0, Some(20.1))];
+        let change = &summary(&rows).changes[0];
+        assert!(!change.is_improved && change.claim().contains("that takes 3 held-out events"), "{}", change.claim());
+    }
+
+    #[test]
+    fn one_measure_may_improve_and_another_not() {
+        let rows: Vec<ErrorRow> = (0..4)
+            .map(|i| {
+                let mut row = row(&format!("E{i}"), Split::Test, 100.0, Some(100.0 + f64::from(i % 2)));
+                for (model, rms) in [("recalibrated", 0.8), ("corrected", 0.3 + 0.01 * f64::from(i))] {
+                    let ln_fourier_by_hz = LnRatio { rms: Some(rms), ..LnRatio::default() };
+                    row.measures.insert(model.into(), Some(Measures { ln_fourier_by_hz, ..Measures::default() }));
+                }
+                row.measures.insert("flare_after".into(), None);
+                row
+            })
+            .collect();
+        let found = summary(&rows);
+        let of = |measure| found.changes.iter().find(|c| c.measure == measure);
+        assert!(!of(Claimed::NrmsePercent).unwrap().is_improved && of(Claimed::LnFourier).unwrap().is_improved);
+        assert!(of(Claimed::LnPsa).is_none());
+        assert!((found.test_measures["corrected"].ln_fourier_by_hz.rms.unwrap() - 0.315).abs() < 1e-3);
+        assert!(!found.test_measures.contains_key("flare_after"));
     }
 
     #[test]
     fn only_held_out_events_count() {
         let rows = [row("A", Split::Train, 90.0, Some(1.0)), row("B", Split::Test, 30.0, None)];
-        let summary = Summary::of(&rows, &[Some(5.0), Some(7.0)], 1);
+        let summary = Summary::of(&rows, &[Some(5.0), Some(7.0)], Vec::new());
         assert_eq!(summary.test_median_nrmse_percent.recalibrated, Some(30.0));
         assert_eq!(summary.test_median_ablation_percent, Some(7.0));
         assert!(summary.changes.is_empty());

@@ -13,6 +13,8 @@ pub const N_PERIOD: usize = 100;
 const SAMPLES_A_PERIOD: f64 = 20.0;
 /// Straight lines between samples this far apart lose 0.7 % of a 9 Hz wave.
 const LONGEST_STEP_S: f64 = 0.005;
+/// Samples between two given ones: twenty to the shortest wave that these can hold, more would show nothing new.
+const FINEST: f64 = 10.0;
 
 /// The periods of the reported spectra: [`N_PERIOD`] over [`PERIOD_RANGE_S`], log-spaced.
 pub fn log_periods_s() -> Vec<f64> {
@@ -35,13 +37,14 @@ pub fn log_periods_s() -> Vec<f64> {
 /// | PSA    | returned  | `[n_period]` | m/s² |         |
 ///
 /// Limits: the peak is sought within the record only, not in the free vibration after it; an input coarser than 0.005 s or
-/// a twentieth of the shortest period is first interpolated (band-limited), which cannot restore what the sampling lost.
-/// Check:  `harmonic_base_motion_matches_the_closed_form`, `a_step_gives_the_known_overshoot`.
+/// a twentieth of the shortest period is first interpolated (band-limited, ten samples between two at most), which cannot restore what
+/// the sampling lost.
+/// Check:  `spectra_are_those_of_independent_implementations`, `harmonic_base_motion_matches_the_closed_form`, `a_step_gives_the_known_overshoot`.
 /// Source: Nigam and Jennings (1969), Calculation of response spectra from strong-motion earthquake records, BSSA 59, 909–922.
 pub fn psa(x: &[f64], dt_s: f64, damping: f64, periods_s: &[f64]) -> Vec<f64> {
     let shortest_s = periods_s.iter().copied().fold(f64::INFINITY, f64::min);
     let finest_s = (shortest_s / SAMPLES_A_PERIOD).min(LONGEST_STEP_S);
-    let factor = (dt_s / finest_s * (1.0 - 1e-9)).ceil().clamp(1.0, 1e4) as usize;
+    let factor = (dt_s / finest_s * (1.0 - 1e-9)).ceil().clamp(1.0, FINEST) as usize;
     let fine = if factor == 1 { x.to_vec() } else { refined(x, dt_s, factor) };
     periods_s.iter().map(|&period_s| pseudo_acceleration(&fine, dt_s / factor as f64, damping, period_s)).collect()
 }
@@ -155,6 +158,28 @@ mod tests {
                     * omega;
                 let got = psa(&a, dt_s, 0.05, &[period_s])[0];
                 assert!((got / exact - 1.0).abs() < 1e-4, "{f_hz} Hz, {period_s} s: {got} against {exact}");
+            }
+        }
+    }
+
+    /// `python tests/metrics/vectors.py`: eqsig 1.2.17, `pseudo_response_spectra` (in the time domain, peaks at samples), and
+    /// pyrotd 0.6.1, `calc_spec_accels` (in the frequency domain).
+    #[test]
+    fn spectra_are_those_of_independent_implementations() {
+        use crate::metrics::made_up::{DT_S, observed, predicted};
+        let periods_s = [0.2, 0.5, 1.0, 3.0];
+        let eqsig = [
+            [4.038010106754755, 1.7278712746718432, 1.5369220539552555, 0.07156636548240727],
+            [3.274906922327955, 2.071551289710194, 1.843673217932622, 0.08564268400485335],
+        ];
+        let pyrotd = [
+            [4.089957906609986, 1.7317599446694913, 1.5351056811207913, 0.071555730000504],
+            [3.31149409490967, 2.0756070000619538, 1.841308337902079, 0.0856176799793735],
+        ];
+        for (i, x) in [observed(), predicted()].iter().enumerate() {
+            for (k, got) in psa(x, DT_S, 0.05, &periods_s).iter().enumerate() {
+                assert!((got / pyrotd[i][k] - 1.0).abs() < 0.01, "{}: {got} {}", periods_s[k], pyrotd[i][k]);
+                assert!((got / eqsig[i][k] - 1.0).abs() < 0.015, "{}: {got} {}", periods_s[k], eqsig[i][k]);
             }
         }
     }

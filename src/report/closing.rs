@@ -2,16 +2,18 @@
 
 use maud::{Markup, html};
 
+use crate::metrics::PairedDifference;
+
 use super::chart::{self, Axis, Column, Frame};
 use super::closing_content::{Candidate, Change, Closing, ErrorRow, Interval, NamedEffect};
 use super::content::Content;
 use super::figure::{Section, figure, listed};
-use super::{closing_rest, number};
+use super::{closing_field, closing_rest, number};
 
-/// Colours of the six predictions, in order.
-const COLORS: [&str; 6] = ["#e8a56b", "#e07b2a", chart::FE, "#7fb3d5", chart::FLARE_T, "#8a8f98"];
+/// Colours of the six predictions and the ceiling, in order.
+const COLORS: [&str; 7] = ["#e8a56b", "#e07b2a", chart::FE, "#7fb3d5", chart::FLARE_T, "#8a8f98", "#5f6670"];
 /// Their names below a box.
-const SHORT: [&str; 6] = ["declared", "recalibrated", "corrected", "before", "after", "floor"];
+const SHORT: [&str; 7] = ["declared", "recalibrated", "corrected", "before", "after", "floor", "ceiling"];
 
 /// The section, if a loop was closed.
 pub(super) fn section(content: &Content) -> Option<Section> {
@@ -106,6 +108,7 @@ fn errors(closing: &Closing) -> Markup {
     html! {
         @if !held_out.is_empty() { (boxes(closing, &held_out)) }
         @if !closing.changes.is_empty() { (changes(closing)) }
+        (closing_field::field(closing))
         (table(closing, &held_out, "held-out events"))
         @let others: Vec<&ErrorRow> = closing.errors.iter().filter(|r| !r.is_held_out).collect();
         @if !others.is_empty() {
@@ -125,14 +128,15 @@ fn boxes(closing: &Closing, rows: &[&ErrorRow]) -> Markup {
         .collect();
     let frame = Frame {
         size: (760.0, 320.0),
-        x: Axis { label: "FE: declared, recalibrated, corrected · FLARE-T: before, after · noise floor", range: (0.0, 7.0), log: false },
+        x: Axis { label: "FE: declared, recalibrated, corrected · FLARE-T: before, after · noise floor · ceiling", range: (0.0, 8.0), log: false },
         y: Axis { label: "NRMSE (%)", range: chart::box_range(values.iter().map(Vec::as_slice), 0.0), log: false },
-        alt: "NRMSE over held-out events of six predictions: finite elements as declared, recalibrated and corrected, FLARE-T before and after, noise floor".into(),
+        alt: "NRMSE over held-out events of six predictions: finite elements as declared, recalibrated and corrected, FLARE-T before and after, noise floor, ceiling".into(),
     };
     let caption = html! {
         "NRMSE at every sensor of the held-out events. The credit of an effect is the step from recalibrated to corrected, not "
         "from declared: the first step repairs values that were merely inaccurate. The noise floor is what sensor noise leaves to "
-        "the right model. All errors compare with the records as measured: where a sensor is at fault, part of the error before was "
+        "the right model; the ceiling is what filters fitted to training events reach, which no model that is the same in all events is "
+        "likely to beat by much. All errors compare with the records as measured: where a sensor is at fault, part of the error before was "
         "measurement error."
     };
     figure(&chart::boxes(&frame, &columns, None, 0.6, None), &caption)
@@ -146,7 +150,7 @@ fn changes(closing: &Closing) -> Markup {
                 li { "Simulations as declared, calibration alone on the corrected site: median " (number::fixed(ablation, 1)) " %" }
             }
         }
-        p.soft { "Median of paired differences with its 95 % interval when events are drawn anew; “improved” only where the whole interval lies below zero." }
+        p.soft { "Mean of paired differences, an event counting once, with its 95 % interval after Student and the exact sign test; “improved” only where the whole interval lies below zero, measure by measure, and never from fewer than three events." }
     }
 }
 
@@ -159,13 +163,25 @@ pub(super) fn claim(change: &Change) -> Markup {
         "flare_t_generic" => "FLARE-T with more terms".to_string(),
         other => other.replace("flare_", "FLARE-T "),
     };
-    let [low, high] = change.ci95_points.map(|v| number::fixed(v, 1));
-    let numbers =
-        format!("{} points [{low}, {high}], {} events", number::fixed(change.median_points, 1), change.n_event);
+    let measure = change.measure;
+    let interval = change.ci95.map_or(String::new(), |ends| {
+        let [low, high] = ends.map(|v| measure.written(v));
+        format!(" [{low}, {high}]")
+    });
+    let numbers = format!(
+        "{} {}{}{interval}, {} events, sign test p = {}",
+        measure.name(),
+        measure.written(change.mean),
+        measure.unit(),
+        change.n_event,
+        number::fixed(change.sign_test_p, 2)
+    );
+    let is_enough = change.n_event >= PairedDifference::FEWEST;
     html! {
         li {
             (name(&change.from)) " → " (name(&change.to)) ": " (numbers) " – "
-            @if change.is_improved { b { "improved" } } @else { "no improvement can be claimed" }
+            @if change.is_improved { b { "improved" } } @else if is_enough { "no improvement can be claimed" }
+            @else { "too few events for any claim" }
         }
     }
 }
@@ -182,10 +198,13 @@ fn table(closing: &Closing, rows: &[&ErrorRow], what: &str) -> Markup {
                 }
             } }
             @if rows.first().is_some_and(|r| r.is_held_out) {
-                tfoot { tr { th colspan="3" { "Median [95 %]" } @for model in &closing.models { td.n {
-                    (number::optional(model.median_percent, 1))
-                    @if let Some([low, high]) = model.ci95_percent { br; span.soft { "[" (number::fixed(low, 1)) ", " (number::fixed(high, 1)) "]" } }
-                } } } }
+                tfoot {
+                    tr { th colspan="3" { "Median" } @for model in &closing.models { td.n { (number::optional(model.median_percent, 1)) } } }
+                    tr { th colspan="3" { "Mean over events [95 %]" } @for model in &closing.models { td.n {
+                        (number::optional(model.mean_percent, 1))
+                        @if let Some([low, high]) = model.ci95_percent { br; span.soft { "[" (number::fixed(low, 1)) ", " (number::fixed(high, 1)) "]" } }
+                    } } }
+                }
             }
         } }
     }

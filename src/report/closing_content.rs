@@ -1,5 +1,6 @@
 //! What the section "Closing the loop" shows, as plain data.
 
+use crate::metrics::Claimed;
 use serde::{Deserialize, Serialize};
 
 /// The diagnosis, the correction and what they were worth.
@@ -18,7 +19,7 @@ pub struct Closing {
     pub explained_share: Option<f64>,
     /// Share of the recalibrated model's residual that is coherent with the recorded input.
     pub input_coherent_share: Option<f64>,
-    /// Names of the six predictions, their medians over held-out events and the 95 % intervals of these, in order.
+    /// Names of the six predictions and of the ceiling, their medians and means over held-out events, in order.
     pub models: Vec<Model>,
     /// Errors of the six predictions at each sensor, held-out events first as given.
     pub errors: Vec<ErrorRow>,
@@ -26,6 +27,10 @@ pub struct Closing {
     pub ablation_percent: Option<f64>,
     /// Paired differences over held-out events.
     pub changes: Vec<Change>,
+    /// The field's measures over held-out events.
+    pub field: Option<Field>,
+    /// Transfer functions of weak events, one row a component, sensor and model.
+    pub transfer: Vec<TransferRow>,
     /// Declared values outside their tolerance: what, how many standard deviations, the estimate.
     pub out_of_tolerance: Vec<(String, f64, Interval)>,
     /// What could still hide.
@@ -90,7 +95,7 @@ pub struct Candidate {
     pub is_confirmed: bool,
 }
 
-/// One of the six predictions.
+/// One of the six predictions, or the ceiling.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Model {
@@ -98,7 +103,9 @@ pub struct Model {
     pub name: String,
     /// Median NRMSE over held-out events, %.
     pub median_percent: Option<f64>,
-    /// Its 95 % interval over events.
+    /// Mean over these events, %.
+    pub mean_percent: Option<f64>,
+    /// 95 % interval of the mean after Student.
     pub ci95_percent: Option<[f64; 2]>,
 }
 
@@ -122,16 +129,72 @@ pub struct ErrorRow {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Change {
+    /// What is compared.
+    pub measure: Claimed,
     /// The prediction compared with.
     pub from: String,
     /// The prediction that should be better.
     pub to: String,
-    /// Median difference, percentage points; negative is better.
-    pub median_points: f64,
-    /// Its 95 % interval over events.
-    pub ci95_points: [f64; 2],
-    /// Whether the interval lies below zero.
+    /// Mean difference over events in the unit of the measure; negative is better.
+    pub mean: f64,
+    /// Its 95 % interval after Student; `None` for one event.
+    pub ci95: Option<[f64; 2]>,
+    /// Two-sided p of the sign test.
+    pub sign_test_p: f64,
+    /// Whether the interval lies below zero, with events enough behind it.
     pub is_improved: bool,
+    /// Events behind it.
+    pub n_event: usize,
+}
+
+/// The field's measures, one row a model.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Field {
+    /// Edges of the bands of the Fourier amplitude, Hz.
+    pub fourier_bands_hz: Vec<[f64; 2]>,
+    /// Edges of the bands of the response spectrum, s.
+    pub psa_bands_s: Vec<[f64; 2]>,
+    /// One a model.
+    pub rows: Vec<FieldRow>,
+}
+
+/// One model; pairs are bias and scatter of ln ratios of prediction over record.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FieldRow {
+    /// For people: `FE declared`.
+    pub model: String,
+    /// Root mean square of the bias of the ln Fourier amplitude in ten bands.
+    pub fourier_rms: Option<f64>,
+    /// Root mean square of the ln ratio of response spectra.
+    pub psa_rms: Option<f64>,
+    /// Peak acceleration, peak velocity, Arias intensity, time from 5 to 75 % and to 95 % of it.
+    pub ratios: Vec<Option<[f64; 2]>>,
+    /// Median of Anderson's score, 0 … 10.
+    pub anderson: Option<f64>,
+    /// Fourier amplitude by band.
+    pub fourier: Vec<Option<[f64; 2]>>,
+    /// Response spectrum by band.
+    pub psa: Vec<Option<[f64; 2]>>,
+}
+
+/// How well a model's transfer function fits, and how much the recorded one varies.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct TransferRow {
+    /// Component.
+    pub component: String,
+    /// Sensor.
+    pub sensor: String,
+    /// For people: `FE declared`.
+    pub model: String,
+    /// `LG`, `LP`, `HG` or `HP`.
+    pub letters: String,
+    /// Pearson's r of ln amplitudes.
+    pub r: f64,
+    /// Scatter of the recorded ln amplitude between events.
+    pub sigma: f64,
     /// Events behind it.
     pub n_event: usize,
 }

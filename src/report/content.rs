@@ -7,7 +7,8 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::closing_content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Generic, Interval, Model, NamedEffect, Remainder, SensorEvidence,
+    Bound, Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Remainder,
+    SensorEvidence, TransferRow,
 };
 
 /// The whole report of one site.

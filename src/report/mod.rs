@@ -12,6 +12,7 @@ mod chart;
 mod check;
 mod closing;
 mod closing_content;
+mod closing_field;
 mod closing_rest;
 pub mod content;
 mod distill;

@@ -1,9 +1,12 @@
-//! Six errors side by side on every recorded event, and `loop.json`. Here, and in the evaluation, held-out events are opened.
+//! Six errors and the field's measures on every recorded event, their ceiling, and `loop.json`. Here, and in the evaluation, held-out
+//! events are opened.
 
 use super::artifact::{read_json, write_json};
 use super::evaluate::{self, Axis, Evaluation};
 use super::generic::{Channel, Generic};
+use super::side_by_side::{self, Histories, judged};
 use super::{correct, diagnose, extend, records, replay};
+use crate::dataset::Coarse;
 use crate::diagnosis::{self, Change, Diagnosis, ErrorRow, Six, Summary, Verdict, noise_deviation_m_s2};
 use crate::effects::Class;
 use crate::error::Result;
@@ -11,7 +14,7 @@ use crate::manifest::SensorsSection;
 use crate::metrics::rms;
 use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::{Stage, Task};
-use crate::records::{Record, RecordSettings, Split};
+use crate::records::{Record, RecordSettings, Sensor, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -78,11 +81,11 @@ impl Stage for Compare {
     }
 
     fn about(&self) -> &'static str {
-        "six errors before and after the correction, and what of it may be claimed: loop.json"
+        "six errors and the field's measures before and after the correction, their ceiling, and what may be claimed: loop.json"
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -90,7 +93,6 @@ impl Stage for Compare {
             "sensors",
             "analysis.output_step_s",
             "pretrain.step_s",
-            "diagnose.seed",
             "diagnose.band_hz",
             "records.format",
             "records.components",
@@ -107,23 +109,24 @@ impl Stage for Compare {
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let settings: RecordSettings = task.section("records")?;
         let sensors: SensorsSection = task.section("sensors")?;
+        let band_hz: [f64; 2] = task.section("diagnose.band_hz")?;
         let diagnosis = diagnose::read(task.input("diagnose")?)?;
         let passes = Passes::read(task, !correct::correction(&diagnosis).is_empty())?;
         let is_unknown = diagnosis.verdict == Verdict::Unknown;
-        let mut errors = Vec::new();
+        let mut beside = Vec::new();
         let mut ablation = Vec::new();
         let mut channels = Vec::new();
         for (split, record) in records::read(task.input("records")?, &settings, &sensors)?.records {
-            errors.extend(passes.errors(&record, split)?);
+            beside.extend(passes.beside(&record, split)?);
             ablation.extend(record.outputs.iter().map(|s| passes.ablation(&record, &s.name)));
             if is_unknown {
                 channels.extend(passes.channels(&record, split)?);
             }
         }
-        let seed = task.section("diagnose.seed")?;
-        let summary = Summary::of(&errors, &ablation, seed);
+        let (errors, transfer) = judged(&beside, &coherence(&diagnosis), band_hz[0]);
+        let summary = Summary::of(&errors, &ablation, transfer);
         let mut notes = diagnosis.notes.clone();
-        notes.extend(summary.changes.iter().map(claim));
+        notes.extend(summary.changes.iter().map(Change::claim));
         let mut generic = None;
         if is_unknown {
             let terms = if task.has_input("extension") {
@@ -132,13 +135,18 @@ impl Stage for Compare {
             } else {
                 BTreeMap::new()
             };
-            let found = Generic::of(&channels, passes.axis.step_s, task.section("diagnose.band_hz")?, terms, seed);
+            let found = Generic::of(&channels, passes.axis.step_s, band_hz, terms);
             notes.extend(found.notes());
-            notes.extend(found.changes.iter().map(|change| format!("without physical meaning: {}", claim(change))));
+            notes.extend(found.changes.iter().map(|change| format!("without physical meaning: {}", change.claim())));
             generic = Some(found);
         }
         write_json(&task.output_dir().join(FILE), &Loop { generic, ..Loop::new(&diagnosis, errors, summary, notes) })
     }
+}
+
+/// Pairs of frequency (Hz) and coherence by sensor, where the diagnosis knows them; the coherent band is the whole one elsewhere.
+fn coherence(_diagnosis: &Diagnosis) -> BTreeMap<String, Vec<[f64; 2]>> {
+    BTreeMap::new()
 }
 
 impl Loop {
@@ -178,6 +186,9 @@ struct Passes<'a> {
     ablation: Option<Evaluation>,
     /// With more terms in the latent equations.
     extended: Option<Evaluation>,
+    /// Where the predictions of the first two lie.
+    before_dir: Option<&'a Path>,
+    after_dir: Option<&'a Path>,
     axis: Axis,
     output_step_s: f64,
     /// Replays of the manifest as declared, recalibrated and, where something was corrected, corrected.
@@ -191,12 +202,17 @@ impl<'a> Passes<'a> {
         let evaluation = |role: &str, is_wanted: bool| -> Result<Option<(Evaluation, Axis)>> {
             if is_wanted && task.has_input(role) { evaluate::read(task.input(role)?).map(Some) } else { Ok(None) }
         };
+        let folder = |role: &str, is_wanted: bool| -> Result<Option<&Path>> {
+            (is_wanted && task.has_input(role)).then(|| task.input(role)).transpose()
+        };
         let (before, axis) = evaluation("before", true)?.unzip();
         Ok(Self {
             before,
             after: evaluation("after", is_corrected)?.map(|(e, _)| e),
             ablation: evaluation("ablation", is_corrected)?.map(|(e, _)| e),
             extended: evaluation("extended", true)?.map(|(e, _)| e),
+            before_dir: folder("before", true)?,
+            after_dir: folder("after", is_corrected)?,
             axis: match axis {
                 Some(axis) => axis,
                 None => Axis { start_s: 0.0, step_s: task.section("pretrain.step_s")? },
@@ -230,34 +246,65 @@ impl<'a> Passes<'a> {
         Ok(observed.into_iter().enumerate().map(of).collect())
     }
 
-    fn errors(&self, record: &Record, split: Split) -> Result<Vec<ErrorRow>> {
+    /// What was recorded and predicted at every output sensor.
+    fn beside(&self, record: &Record, split: Split) -> Result<Vec<side_by_side::Channel>> {
         let observed = self.axis.of_record(record);
-        let replayed = |folder: &Path| replay::read(folder, &record.event, &record.component);
-        let [declared, recalibrated] = [replayed(self.declared)?, replayed(self.recalibrated)?];
-        let corrected = self.corrected.map(replayed).transpose()?.flatten();
-        let best = if self.corrected.is_some() { &corrected } else { &recalibrated };
-        let [on_declared, on_recalibrated, on_corrected] = [&declared, &recalibrated, &corrected]
-            .map(|h| h.as_ref().and_then(|h| self.axis.of_replay(h, self.output_step_s, &observed)));
-        let rows = record.outputs.iter().enumerate().map(|(j, sensor)| {
-            let fe = |h: &Option<Vec<Vec<f64>>>| evaluate::nrmse(&h.as_ref()?[j], &observed[j]);
+        let input = Coarse::of_record(record, self.axis.step_s).base_m_s2;
+        let mut fine = BTreeMap::new();
+        let mut coarse = BTreeMap::new();
+        let mut best = None;
+        for (model, folder) in [
+            ("declared", Some(self.declared)),
+            ("recalibrated", Some(self.recalibrated)),
+            ("corrected", self.corrected),
+        ] {
+            let Some(folder) = folder else { continue };
+            // The best model is the last one there should be, whether or not its column finished this event.
+            best = replay::read(folder, &record.event, &record.component)?;
+            let Some(replayed) = &best else { continue };
+            if let Some(on_axis) = self.axis.of_replay(replayed, self.output_step_s, &observed) {
+                coarse.insert(model, on_axis);
+            }
+            if let Some(at_step) = at_step_of(record, replayed, self.output_step_s) {
+                fine.insert(model, at_step);
+            }
+        }
+        for (model, folder) in [("flare_before", self.before_dir), ("flare_after", self.after_dir)] {
+            let predicted = folder.map(|folder| evaluate::predicted(folder, record)).transpose()?.flatten();
+            if let Some(predicted) = predicted.filter(|p| p.iter().zip(&observed).all(|(p, a)| p.len() == a.len())) {
+                coarse.insert(model, predicted);
+            }
+        }
+        let channel = |(j, sensor): (usize, &Sensor)| {
+            let of = |all: &BTreeMap<&'static str, Vec<Vec<f64>>>| {
+                all.iter().map(|(model, histories)| (*model, histories[j].clone())).collect()
+            };
+            let fine = Histories {
+                dt_s: record.dt_s,
+                input: record.input.acceleration_m_s2.clone(),
+                observed: sensor.acceleration_m_s2.clone(),
+                predicted: of(&fine),
+            };
+            let coarse = Histories {
+                dt_s: self.axis.step_s,
+                input: input.clone(),
+                observed: observed[j].clone(),
+                predicted: of(&coarse),
+            };
             let flare = |e: &Option<Evaluation>| nrmse(e.as_ref()?, record, &sensor.name)?.flare_t;
             let nrmse_percent = Six {
-                declared: fe(&on_declared),
-                recalibrated: fe(&on_recalibrated),
-                corrected: fe(&on_corrected),
+                declared: coarse.nrmse("declared"),
+                recalibrated: coarse.nrmse("recalibrated"),
+                corrected: coarse.nrmse("corrected"),
                 flare_before: flare(&self.before),
                 flare_after: flare(&self.after),
                 noise_floor: best.as_ref().and_then(|h| self.floor(record, j, &h[j], &observed[j])),
+                ceiling: None,
             };
-            ErrorRow {
-                event: record.event.clone(),
-                component: record.component.clone(),
-                sensor: sensor.name.clone(),
-                split,
-                nrmse_percent,
-            }
-        });
-        Ok(rows.collect())
+            let (event, component) = (record.event.clone(), record.component.clone());
+            side_by_side::Channel { event, component, sensor: sensor.name.clone(), split, fine, coarse, nrmse_percent }
+        };
+        Ok(record.outputs.iter().enumerate().map(channel).collect())
     }
 
     fn ablation(&self, record: &Record, sensor: &str) -> Option<f64> {
@@ -281,15 +328,17 @@ fn nrmse(evaluation: &Evaluation, record: &Record, sensor: &str) -> Option<evalu
     evaluation.scores.iter().find(is_meant).map(|s| s.nrmse_percent)
 }
 
-/// What a difference allows to say.
-fn claim(change: &Change) -> String {
-    let Change { from, to, median_points, ci95_points: [low, high], n_event, .. } = change;
-    let numbers = format!("{median_points:+.1} points of NRMSE [{low:+.1}, {high:+.1}] over {n_event} held-out events");
-    if change.is_improved {
-        format!("{to} improves on {from}: {numbers}")
-    } else {
-        format!("no improvement of {to} on {from} can be claimed: {numbers}")
-    }
+/// A replay at the step of the record, as long as it; `None` where it ends early.
+fn at_step_of(record: &Record, replayed: &[Vec<f64>], dt_s: f64) -> Option<Vec<Vec<f64>>> {
+    let n = record.n_step();
+    let at_step = |x: &Vec<f64>| {
+        let mut at_step = resample_band_limited(x, dt_s, record.dt_s);
+        // Where the steps are no multiples of each other the last sample may fall behind the end.
+        let last = at_step.last().copied().filter(|_| at_step.len() + 1 >= n)?;
+        at_step.resize(n, last);
+        Some(at_step)
+    };
+    replayed.iter().map(at_step).collect()
 }
 
 /// Of `loop.json` what no diagnosis says.

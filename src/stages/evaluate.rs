@@ -1,6 +1,6 @@
 //! Predictions of every recorded event, finite elements beside FLARE-T, and all errors against the records as measured.
 
-use super::artifact::{read_json, write_json, write_table};
+use super::artifact::{read_json, read_table, write_json, write_table};
 use super::instrument::{Concern, Instrument, by_event, narrow};
 use super::predict::Predictor;
 use super::{records, replay};
@@ -11,7 +11,7 @@ use crate::manifest::SensorsSection;
 use crate::metrics::{Quartiles, nrmse_percent, psa_ln_rmse, r2, r2_pooled, timewise_error_percent};
 use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::{Stage, Task};
-use crate::records::{Record, RecordSettings, Split};
+use crate::records::{Record, RecordSettings, Sensor, Split};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -219,6 +219,19 @@ impl Comparison {
         write_table(&folder.join(format!("{}.{}.csv", record.event, record.component)), self.axis.step_s, &columns)?;
         write_json(&folder.join("axis.json"), &self.axis)
     }
+}
+
+/// What FLARE-T predicted of `record`, one history a sensor on the axis of the tables, m/s²; `None` where it did not.
+///
+/// # Errors
+/// When the table that stage left in `folder` is not there.
+pub fn predicted(folder: &Path, record: &Record) -> Result<Option<Vec<Vec<f64>>>> {
+    let columns = read_table(&folder.join(format!("{}.{}.csv", record.event, record.component)))?;
+    let of = |sensor: &Sensor| {
+        let name = format!("{} flare_t", sensor.name);
+        columns.iter().find(|(column, _)| *column == name).map(|(_, history)| history.clone())
+    };
+    Ok(record.outputs.iter().map(of).collect())
 }
 
 /// NRMSE, %, where both histories give a finite one.

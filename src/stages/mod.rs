@@ -2,6 +2,7 @@
 
 mod artifact;
 mod calibrate;
+mod ceiling;
 mod compare;
 pub mod correct;
 mod dataset;
@@ -22,6 +23,7 @@ mod replay;
 mod report;
 mod report_closing;
 mod shake;
+mod side_by_side;
 mod simulate;
 mod source_study;
 pub mod twins;

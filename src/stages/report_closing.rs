@@ -1,13 +1,15 @@
 //! From a diagnosis and a comparison to the report's section on closing the loop.
 
 use super::{compare, diagnose};
-use crate::diagnosis::{Diagnosis, Estimate, Six, Verdict};
+use crate::diagnosis::{Diagnosis, Estimate, Six, Summary, Verdict};
 use crate::effects::{self, Class};
 use crate::error::Result;
+use crate::metrics::{BiasSigma, LnRatio, SensorTransfer};
 use crate::pipeline::Task;
 use crate::records::Split;
 use crate::report::content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Generic, Interval, Model, NamedEffect, Remainder, SensorEvidence,
+    Bound, Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Remainder,
+    SensorEvidence, TransferRow,
 };
 use crate::units::G_M_S2;
 
@@ -24,7 +26,8 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
     let summary = &found.summary;
     let medians = list(&summary.test_median_nrmse_percent);
     let intervals = list(&summary.test_ci95_nrmse_percent);
-    let models = NAMES.iter().zip(medians.into_iter().zip(intervals));
+    let means = list(&summary.test_mean_nrmse_percent);
+    let models = NAMES.iter().zip(medians.into_iter().zip(means.into_iter().zip(intervals)));
     let errors = found.errors.iter().map(|row| ErrorRow {
         event: row.event.clone(),
         component: row.component.clone(),
@@ -54,11 +57,18 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
         explained_share: diagnosis.explained_share,
         input_coherent_share: diagnosis.input_coherent_share,
         models: models
-            .map(|(name, (median_percent, ci95_percent))| Model { name: (*name).into(), median_percent, ci95_percent })
+            .map(|(name, (median_percent, (mean_percent, ci95_percent)))| Model {
+                name: (*name).into(),
+                median_percent,
+                mean_percent,
+                ci95_percent,
+            })
             .collect(),
         errors: errors.collect(),
         ablation_percent: summary.test_median_ablation_percent,
         changes: summary.changes.iter().map(change).collect(),
+        field: field(summary),
+        transfer: transfer(summary),
         out_of_tolerance: alarms.map(|a| (a.what.clone(), a.deviations, interval(&a.estimate))).collect(),
         bounds: bounds(&diagnosis),
         remainder: remainder(&diagnosis),
@@ -68,15 +78,66 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
     }))
 }
 
-const NAMES: [&str; 6] =
-    ["FE declared", "FE recalibrated", "FE corrected", "FLARE-T before", "FLARE-T after", "Noise floor"];
+const NAMES: [&str; 7] =
+    ["FE declared", "FE recalibrated", "FE corrected", "FLARE-T before", "FLARE-T after", "Noise floor", "Ceiling"];
+/// Models of the field's measures with their names for people, in the order of a loop.
+const MEASURED: [(&str, &str); 7] = [
+    ("declared", "FE declared"),
+    ("recalibrated", "FE recalibrated"),
+    ("corrected", "FE corrected"),
+    ("flare_before", "FLARE-T before"),
+    ("flare_after", "FLARE-T after"),
+    ("ceiling", "Ceiling"),
+    ("other_component", "Other horizontal"),
+];
+
+fn field(summary: &Summary) -> Option<Field> {
+    let pair = |of: Option<BiasSigma>| of.map(|v| [v.bias, v.sigma]);
+    let bands = |of: &LnRatio| of.bias.iter().zip(&of.sigma).map(|(b, s)| Some([(*b)?, (*s)?])).collect();
+    let row = |(key, name): &(&str, &str)| {
+        let of = summary.test_measures.get(*key)?;
+        Some(FieldRow {
+            model: (*name).into(),
+            fourier_rms: of.ln_fourier_by_hz.rms,
+            psa_rms: of.ln_psa_by_s.rms,
+            ratios: [of.ln_pga, of.ln_pgv, of.ln_arias, of.ln_duration_5_75, of.ln_duration_5_95].map(pair).to_vec(),
+            anderson: of.anderson,
+            fourier: bands(&of.ln_fourier_by_hz),
+            psa: bands(&of.ln_psa_by_s),
+        })
+    };
+    let rows: Vec<FieldRow> = MEASURED.iter().filter_map(row).collect();
+    let (fourier_bands_hz, psa_bands_s) = (summary.fourier_bands_hz.clone(), summary.psa_bands_s.clone());
+    (!rows.is_empty()).then_some(Field { fourier_bands_hz, psa_bands_s, rows })
+}
+
+fn transfer(summary: &Summary) -> Vec<TransferRow> {
+    let of = |place: &SensorTransfer| {
+        let row = |(key, name): &(&str, &str)| {
+            let fit = place.models.get(*key)?.clone()?;
+            Some(TransferRow {
+                component: place.component.clone(),
+                sensor: place.sensor.clone(),
+                model: (*name).into(),
+                letters: fit.letters,
+                r: fit.r,
+                sigma: fit.sigma,
+                n_event: fit.n_event,
+            })
+        };
+        MEASURED.iter().filter_map(row).collect::<Vec<_>>()
+    };
+    summary.transfer.iter().flat_map(of).collect()
+}
 
 fn change(c: &crate::diagnosis::Change) -> Change {
     Change {
+        measure: c.measure,
         from: c.from.clone(),
         to: c.to.clone(),
-        median_points: c.median_points,
-        ci95_points: c.ci95_points,
+        mean: c.mean,
+        ci95: c.ci95,
+        sign_test_p: c.sign_test_p,
         is_improved: c.is_improved,
         n_event: c.n_event,
     }

@@ -181,14 +181,23 @@ impl Stand {
         let held_out: Vec<Vec<Record>> =
             self.record(&case.truth, &[Split::Test])?.into_iter().map(|(_, records)| records).collect();
         let error = |tables: &[Table]| self.error(&bench, tables, &held_out);
+        let with_recalibration = |mut tables: Vec<Table>| -> Result<Option<f64>> {
+            tables.extend(recalibrated(&bench.problem, &bench, &tables, &self.settings, thresholds)?);
+            error(&tables)
+        };
         let corrected = correction(&diagnosis);
         let truth = case.tables(&bench.problem.array, &self.tolerances);
         let effects = &case.truth.effects;
         let without = |left_out: usize| -> Result<Option<f64>> {
             let mut tables = effects.clone();
             tables.remove(left_out);
-            tables.extend(recalibrated(&bench.problem, &bench, &tables, &self.settings, thresholds)?);
-            error(&tables)
+            with_recalibration(tables)
+        };
+        let floor = || match (case.truth.outside.is_empty(), case.is_foreign) {
+            (false, _) => Ok(None),
+            (true, false) => error(&truth),
+            // The declared law cannot be the truth: what it reaches where the effects are known is the least there is.
+            (true, true) => with_recalibration(effects.clone()),
         };
         let several = if effects.len() > 1 { 0..effects.len() } else { 0..0 };
         let without_one = several.map(without).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect();
@@ -214,7 +223,7 @@ impl Stand {
                 declared: error(&[])?,
                 recalibrated: error(&diagnosis.nuisances)?,
                 corrected: if corrected.is_empty() { None } else { error(&corrected)? },
-                floor: if case.truth.outside.is_empty() { error(&truth)? } else { None },
+                floor: floor()?,
             },
             without_one_percent: without_one,
             seconds: start.elapsed().as_secs_f64(),

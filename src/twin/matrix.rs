@@ -1,5 +1,6 @@
 //! Many twins of one array: truths drawn at random over effect, place, size, tolerances and noise.
 
+use super::foreign::{Foreign, drawn};
 use super::{Truth, draw};
 use crate::effects::{self, Array, Instance};
 use crate::error::{Context, Error, Result};
@@ -23,6 +24,9 @@ pub struct Matrix {
     /// Range of the noise, as a share of each channel's RMS.
     #[serde(default = "default_noise")]
     pub noise_rms_share: [f64; 2],
+    /// What the truths of foreign cells are drawn from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub foreign: Option<Foreign>,
     /// Cells.
     pub cell: Vec<Cell>,
 }
@@ -45,7 +49,10 @@ pub struct Cell {
     /// Kinds to draw from; all that fit the array, if not given.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub kinds: Vec<String>,
-    /// Tables of `[[outside]]`, one to a twin in turn: what no effect of the catalogue describes.
+    /// Whether the truth is drawn from `[foreign]`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub foreign: bool,
+    /// Tables of `[[outside]]`, one to a twin in turn: what no effect of the catalogue describes. `[a, b]` is drawn evenly.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     #[schemars(with = "Vec<serde_json::Map<String, serde_json::Value>>")]
     pub outside: Vec<Table>,
@@ -58,6 +65,8 @@ pub struct Case {
     pub cell: String,
     /// Number within the cell, from 1.
     pub number: usize,
+    /// Whether its truth was drawn from `[foreign]`: then the declared law is not that of the truth.
+    pub is_foreign: bool,
     /// What holds.
     pub truth: Truth,
 }
@@ -78,7 +87,20 @@ impl Matrix {
             return Err(Error::new(what).at(format!("cell `{}`", cell.name)).at(place()).usage());
         }
         let truth = Truth::load(&path.parent().unwrap_or(Path::new(".")).join(&matrix.truth))?;
+        matrix.check(&truth).map_err(|e| e.at(place()).usage())?;
         Ok((matrix, truth))
+    }
+
+    /// Refuses foreign cells without `[foreign]`, and ends of ranges that no truth may have.
+    fn check(&self, truth: &Truth) -> Result<()> {
+        if let Some(cell) = self.cell.iter().find(|c| c.foreign && self.foreign.is_none()) {
+            let what = "`foreign = true` needs a section `[foreign]` to draw from";
+            return Err(Error::new(what).at(format!("cell `{}`", cell.name)));
+        }
+        for extreme in self.foreign.iter().flat_map(|foreign| foreign.extremes(truth)) {
+            extreme.check().map_err(|e| e.at("`[foreign]`"))?;
+        }
+        Ok(())
     }
 
     /// All twins under `seed`, each with draws of its own that no other twin changes.
@@ -91,15 +113,19 @@ impl Matrix {
             let kinds = cell.fitting(array).map_err(|e| e.at(format!("cell `{}`", cell.name)))?;
             for number in 1..=cell.count {
                 let mut random = random::stream(seed, &format!("twin {} {number}", cell.name));
-                let truth = Truth {
+                let mut truth = Truth {
                     // A TOML integer has 63 bits.
                     seed: random.random::<u64>() >> 1,
                     noise: self.noise(&mut random),
                     effects: cell.draw(&kinds, number, &mut random),
-                    outside: cell.outside.get((number - 1) % cell.outside.len().max(1)).cloned().into_iter().collect(),
                     ..truth.clone()
                 };
-                cases.push(Case { cell: cell.name.clone(), number, truth });
+                let outside = cell.outside.get((number - 1) % cell.outside.len().max(1));
+                truth.outside = outside.map(|table| drawn(table, &mut random)).into_iter().collect();
+                if let Some(foreign) = self.foreign.as_ref().filter(|_| cell.foreign) {
+                    truth = foreign.of(&truth, &mut random);
+                }
+                cases.push(Case { cell: cell.name.clone(), number, is_foreign: cell.foreign, truth });
             }
         }
         Ok(cases)
@@ -204,8 +230,38 @@ mod tests {
             assert_eq!(case.truth.outside.len(), usize::from(!expected.outside.is_empty()));
             effects::build_all(&case.truth.effects).expect("draws are within their ranges");
         }
+        let foreign = |case: &Case| matrix.cell.iter().find(|c| c.name == case.cell).is_some_and(|c| c.foreign);
+        for case in matrix.cases(&truth, &array, 3).expect("cases") {
+            assert_eq!(case.truth.damping.is_some(), foreign(&case));
+            assert_eq!(case.truth.processing.low_pass_hz, foreign(&case).then_some(20.0));
+            case.truth.check().expect("draws are within their ranges");
+        }
         matrix.cell[0].kinds = vec!["sensor_gains".into()];
         let error = matrix.cases(&truth, &array, 3).expect_err("no such kind");
         assert!(error.hint_text().is_some_and(|hint| hint.contains("nearest: `sensor_gain`")));
+    }
+
+    #[test]
+    fn foreign_cells_need_something_to_draw_from_and_ranges_that_a_truth_may_have() {
+        let configs = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("configs");
+        let text = std::fs::read_to_string(configs.join("matrix/smoke.toml")).expect("there");
+        let folder = tempfile::tempdir().expect("a folder");
+        std::fs::create_dir_all(folder.path().join("matrix")).expect("made");
+        std::fs::create_dir_all(folder.path().join("truth")).expect("made");
+        std::fs::copy(configs.join("truth/smoke.toml"), folder.path().join("truth/smoke.toml")).expect("copied");
+        let says = |text: &str| {
+            let path = folder.path().join("matrix/m.toml");
+            std::fs::write(&path, text).expect("written");
+            Matrix::load(&path).map(|_| ()).map_err(|e| format!("{e:#}"))
+        };
+        assert_eq!(says(&text), Ok(()));
+        let none = text.replace("[foreign]", "[cell_foreign]").replace("[foreign.", "[cell_foreign.");
+        assert!(says(&none).is_err());
+        let wide = text.replace("ratio = [0.009, 0.014]", "ratio = [-0.1, 0.9]");
+        assert!(says(&wide).unwrap_err().contains("`damping.ratio` must be in 0…0.3"), "{:?}", says(&wide));
+        let corner = text.replace("low_pass_hz = 20.0", "low_pass_hz = 400.0");
+        assert!(says(&corner).unwrap_err().contains("1…45 Hz, got 400"), "{:?}", says(&corner));
+        let cell = "truth = \"../truth/smoke.toml\"\n[[cell]]\nname = 'a'\ncount = 1\nforeign = true\n";
+        assert!(says(cell).unwrap_err().contains("needs a section `[foreign]`"), "{:?}", says(cell));
     }
 }

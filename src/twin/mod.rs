@@ -5,15 +5,19 @@
 //! azimuths within their tolerances and noise, the input sensor too. The truth file is read here and nowhere else.
 
 mod draw;
+mod foreign;
 mod matrix;
 mod outside;
+mod processing;
 mod simulate;
 mod tally;
 mod truth;
 
 pub use draw::draw;
+pub use foreign::{Foreign, ForeignDamping, OwnDamping};
 pub use matrix::{Case, Cell, Matrix};
 pub use outside::OUTSIDE;
+pub use processing::Processing;
 pub use simulate::{Recorder, record_event, recorder};
 pub use tally::{Four, Outcome, Recovered, Report, Share, Spread, Tally};
 pub use truth::{EventSection, Truth};

@@ -29,7 +29,8 @@ pub struct Recorder<'a> {
 /// Prepares the truth of `site`.
 ///
 /// # Errors
-/// When the truth names an unknown law, effect or sensor, or the column cannot be built.
+/// When the truth names an unknown law, effect or sensor, or the column cannot be built; a damping of its own needs laws with a
+/// `damping_ratio`.
 pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'a Truth) -> Result<Recorder<'a>> {
     let mut site_of_truth = site.clone();
     for (name, parameters) in &truth.law {
@@ -39,7 +40,16 @@ pub fn recorder<'a>(site: &'a ColumnSections, tolerances: &Tolerances, truth: &'
                 .hint(crate::registry::known(&known, name))
                 .usage()
         })?;
+        if parameters.contains_key("kind") {
+            law.clear();
+        }
         law.extend(parameters.clone());
+    }
+    if let Some(own) = &truth.damping {
+        site_of_truth.site.rayleigh = own.rayleigh();
+        for law in site_of_truth.law.values_mut() {
+            law.insert("damping_ratio".into(), 0.0.into());
+        }
     }
     let array = site_of_truth.array(&truth.components())?;
     let mut tables = draw(&array, tolerances, truth.seed);
@@ -122,7 +132,7 @@ pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) 
         add_noise(&mut record, &truth.noise, truth.seed);
         record
     });
-    Ok(records.collect())
+    Ok(truth.processing.apply(records.collect()))
 }
 
 fn event_seed(seed: u64, event: &str, component: &str) -> u64 {

@@ -61,7 +61,8 @@ pub struct Four {
     pub recalibrated: Option<f64>,
     /// Corrected.
     pub corrected: Option<f64>,
-    /// By what really holds, driven by the recorded input.
+    /// By what really holds, driven by the recorded input; of a foreign truth, by the declared law with the effects that hold and the rest
+    /// recalibrated.
     pub floor: Option<f64>,
 }
 
@@ -90,6 +91,13 @@ pub struct Spread {
 /// The figures of one group of twins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tally {
+    /// Twins whose answer is of the right class: `none` where nothing held, `unknown` where only something outside the catalogue did,
+    /// otherwise the right name.
+    pub right_class: Share,
+    /// Of the twins in which nothing held, those with an answer other than `none`.
+    pub null_alarms: Share,
+    /// Of the twins with something outside the catalogue and nothing in it, those called unknown.
+    pub outside_unknown: Share,
     /// Twins with an answer other than `none`.
     pub alarms: Share,
     /// Twins called unknown.
@@ -184,6 +192,24 @@ impl Outcome {
         !self.truth.is_empty() && all.fold(f64::INFINITY, |least, e| e.min(least)) > SURVIVES * floor
     }
 
+    fn is_null(&self) -> bool {
+        self.truth.is_empty() && self.outside.is_empty()
+    }
+
+    fn is_outside(&self) -> bool {
+        self.truth.is_empty() && !self.outside.is_empty()
+    }
+
+    fn is_of_right_class(&self) -> bool {
+        if self.is_null() {
+            self.verdict == Verdict::None
+        } else if self.is_outside() {
+            self.verdict == Verdict::Unknown
+        } else {
+            self.is_right()
+        }
+    }
+
     fn is_right(&self) -> bool {
         let (held, found) = (Self::kinds(&self.truth), Self::kinds(&self.found));
         let named = |kind: &&str| found.contains(kind) || self.ambiguity.iter().any(|k| k == kind);
@@ -216,7 +242,15 @@ impl Tally {
             let values: Vec<f64> = group.iter().filter_map(|o| pick(&o.nrmse_percent)).collect();
             (!values.is_empty()).then(|| median(&values))
         };
+        let of_those = |are: &dyn Fn(&Outcome) -> bool, is: &dyn Fn(&Outcome) -> bool| {
+            let those: Vec<&&Outcome> = group.iter().filter(|o| are(o)).collect();
+            Share::new(those.iter().filter(|o| is(o)).count(), those.len())
+        };
+        let is_unknown = |o: &Outcome| o.verdict == Verdict::Unknown;
         Self {
+            right_class: share(&Outcome::is_of_right_class),
+            null_alarms: of_those(&Outcome::is_null, &|o| o.verdict != Verdict::None),
+            outside_unknown: of_those(&Outcome::is_outside, &is_unknown),
             alarms: share(&|o| o.verdict != Verdict::None),
             unknown: share(&|o| o.verdict == Verdict::Unknown),
             right: share(&Outcome::is_right),
@@ -301,6 +335,8 @@ mod tests {
         let tally = &report.cells["c"];
         let counts = [&tally.right, &tally.wrong, &tally.top_1, &tally.top_3, &tally.alarms].map(|s| s.hits);
         assert_eq!(counts, [1, 2, 2, 3, 4]);
+        assert_eq!((tally.right_class.hits, tally.right_class.of), (1, 5));
+        assert_eq!((tally.null_alarms.hits, tally.null_alarms.of, tally.outside_unknown.of), (1, 1, 0));
         assert_eq!(tally.coverage.hits, 0);
         assert!(tally.parameter_error.is_some_and(|s| (s.median - 0.1).abs() < 1e-12));
         assert!(tally.corrected_over_floor.is_some_and(|s| (s.median - 1.1).abs() < 1e-12));
@@ -310,6 +346,16 @@ mod tests {
         );
         assert_eq!(report.confusion["nothing"]["b"], 1);
         assert_eq!(report.confusion["a + b"]["a"], 1);
+    }
+
+    #[test]
+    fn the_class_of_an_answer_is_judged_by_what_held() {
+        let mut outside = outcome(&[], Verdict::Unknown, &[], &[]);
+        outside.outside = vec!["second_input".into()];
+        let report = Report::new(1, vec![outcome(&[], Verdict::None, &[], &[]), outside], Vec::new());
+        let tally = &report.cells["c"];
+        let shares = [&tally.right_class, &tally.null_alarms, &tally.outside_unknown].map(|s| (s.hits, s.of));
+        assert_eq!(shares, [(2, 2), (0, 1), (1, 1)]);
     }
 
     #[test]

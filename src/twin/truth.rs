@@ -1,6 +1,6 @@
 //! The truth file: what really holds at a twin site.
 
-use super::outside;
+use super::{OwnDamping, Processing, outside};
 use crate::effects::{self, Class};
 use crate::error::{Context, Error, Result};
 use crate::motion::{Band, MotionSettings};
@@ -37,7 +37,13 @@ pub struct Truth {
     /// Range of the dominant frequency of the event motions, Hz.
     #[serde(default = "default_dominant")]
     pub dominant_hz: [f64; 2],
-    /// Law parameters that differ from the declared ones, by law name.
+    /// What is done to the noisy records.
+    #[serde(default, skip_serializing_if = "Processing::is_none")]
+    pub processing: Processing,
+    /// Damping of its own in place of what the laws ask for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub damping: Option<OwnDamping>,
+    /// Law parameters that differ from the declared ones, by law name; a table with a `kind` stands in place of the declared one.
     #[serde(default)]
     #[schemars(with = "BTreeMap<String, serde_json::Map<String, serde_json::Value>>")]
     pub law: BTreeMap<String, Table>,
@@ -143,9 +149,10 @@ impl Truth {
         let what = match self.effects.iter().find(of_soil) {
             Some(table) => format!("effect {} changes the motion of the ground, which was measured", table["kind"]),
             None if !self.event.is_empty() => "there are events of its own, but the records are measured".to_string(),
-            None if !self.law.is_empty() || !self.outside.is_empty() => {
-                "`law` and `outside` change the motion of the ground, which was measured".to_string()
+            None if !self.law.is_empty() || !self.outside.is_empty() || self.damping.is_some() => {
+                "`law`, `damping` and `outside` change the motion of the ground, which was measured".to_string()
             }
+            None if !self.processing.is_none() => "`processing` is of twin records alone".to_string(),
             None => return Ok(()),
         };
         Err(Error::new(what).hint("only effects of sensors can be put on measured records").usage())
@@ -170,7 +177,7 @@ impl Truth {
         }
     }
 
-    fn check(&self) -> Result<()> {
+    pub(super) fn check(&self) -> Result<()> {
         let range = |name: &str, value: f64, lowest: f64, highest: f64, unit: &str| {
             if (lowest..=highest).contains(&value) {
                 return Ok(());
@@ -189,6 +196,8 @@ impl Truth {
                 range("pga_g", *pga, 1e-4, 3.0, " g").map_err(place)?;
             }
         }
+        self.processing.check()?;
+        self.damping.map_or(Ok(()), |own| own.check())?;
         effects::build_all(&self.effects)?;
         outside::build_all(&self.outside).map(|_| ())
     }
