@@ -6,7 +6,7 @@
 //! `t = 0` at the first sample. Inside, everything is SI (`units` holds the only conversions).
 //!
 //! Dependencies point one way: `error units numerics registry progress → motion soil → column → dataset records metrics →
-//! flare effects diagnosis → manifest → twin → report stages → cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
+//! flare effects diagnosis inference → manifest → twin → report stages → cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
 
 pub mod cli;
 pub mod column;
@@ -15,6 +15,7 @@ pub mod diagnosis;
 pub mod effects;
 pub mod error;
 pub mod flare;
+pub mod inference;
 pub mod manifest;
 pub mod metrics;
 pub mod motion;

@@ -140,7 +140,9 @@ fn what_has_no_name_is_called_unknown_and_corrected_without_physics_under_the_sa
     let place = Place::new("[[outside]]\nkind = 'lateral_scattering'\nln_amplitude = 0.4\nphase_rad = 0.4\n");
     place.run(&[]);
     let found = place.loop_json();
-    assert_eq!((&found["verdict"], found["effects"].as_array().map(Vec::len)), (&"unknown".into(), Some(0)));
+    assert_eq!(found["verdict"], "unknown", "{found:#}");
+    // What comes nearest to a name may be said; it explains too little to be applied.
+    assert!(found["summary"]["test_median_nrmse_percent"]["corrected"].is_null(), "{found:#}");
     let generic = &found["generic"];
     assert_eq!(generic["is_physical"], false);
     let rows = generic["errors"].as_array().expect("a list");

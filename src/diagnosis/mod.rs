@@ -61,7 +61,7 @@ mod secants;
 mod settings;
 mod settling;
 mod simulated;
-mod spectra;
+pub(crate) mod spectra;
 mod stand_ins;
 mod standing;
 mod surroundings;

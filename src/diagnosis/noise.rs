@@ -101,7 +101,8 @@ fn averaged(x: &[f64], dt_s: f64) -> NoiseSpectrum {
         let n = range.len() as f64;
         power[range].iter().sum::<f64>() / n
     };
-    NoiseSpectrum { step_hz: 1.0 / (length as f64 * dt_s), power: (0..power.len()).map(smooth).collect() }
+    let power = (0..power.len()).map(smooth).collect();
+    NoiseSpectrum { step_hz: 1.0 / (length as f64 * dt_s), power, is_measured: true }
 }
 
 /// The motion behind the samples `x` of a sensor with this `noise`: every frequency by the share of its power that is not noise.
@@ -168,7 +169,7 @@ fn beyond_the_band(x: &[f64], dt_s: f64) -> NoiseSpectrum {
     let empty: Vec<f64> = found.iter().flat_map(|segment| &segment[first..=last]).copied().collect();
     let density = empty.iter().sum::<f64>() / empty.len().max(1) as f64;
     let deviation = (density / (2.0 * dt_s)).sqrt().max(SMALLEST_SHARE * rms(x)).max(f64::MIN_POSITIVE.sqrt());
-    NoiseSpectrum::white(deviation, dt_s)
+    NoiseSpectrum { is_measured: false, ..NoiseSpectrum::white(deviation, dt_s) }
 }
 
 #[cfg(test)]

@@ -54,12 +54,15 @@ pub struct NoiseSpectrum {
     pub step_hz: f64,
     /// One-sided density, (m/s²)²/Hz; the last value holds beyond the end.
     pub power: Vec<f64>,
+    /// Whether the record shows it by itself, before its event.
+    pub is_measured: bool,
 }
 
 impl NoiseSpectrum {
     /// White noise of standard deviation `deviation_m_s2` sampled every `dt_s`.
     pub fn white(deviation_m_s2: f64, dt_s: f64) -> Self {
-        Self { step_hz: 1.0, power: vec![2.0 * dt_s * deviation_m_s2 * deviation_m_s2] }
+        let power = vec![2.0 * dt_s * deviation_m_s2 * deviation_m_s2];
+        Self { step_hz: 1.0, power, is_measured: true }
     }
 
     /// Density at `frequency_hz`, linear between the values.

@@ -149,6 +149,8 @@ fn tolerances(site: &Site, problems: &mut Vec<Problem>) {
         ("gain_ln", t.gain_ln, 1.0),
         ("clock_s", t.clock_s, 1.0),
         ("orientation_deg", t.orientation_deg, 90.0),
+        ("depth_m", t.depth_m, 10.0),
+        ("model", t.model, 1.0),
     ];
     for (name, value, highest) in values {
         if !(0.0..=highest).contains(&value) {

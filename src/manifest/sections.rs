@@ -220,11 +220,23 @@ pub struct Tolerances {
     pub clock_s: f64,
     /// Azimuth of a sensor, degrees.
     pub orientation_deg: f64,
+    /// Depth of an output sensor, m.
+    pub depth_m: f64,
+    /// Error of the column itself that is no parameter's, as a share of the recorded motion.
+    pub model: f64,
 }
 
 impl Default for Tolerances {
     fn default() -> Self {
-        Self { vs_ln: 0.05, damping_ln: 0.3, gain_ln: 0.01, clock_s: 0.001, orientation_deg: 1.0 }
+        Self {
+            vs_ln: 0.05,
+            damping_ln: 0.3,
+            gain_ln: 0.01,
+            clock_s: 0.001,
+            orientation_deg: 1.0,
+            depth_m: 0.1,
+            model: 0.1,
+        }
     }
 }
 

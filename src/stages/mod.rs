@@ -4,6 +4,7 @@ mod artifact;
 mod calibrate;
 mod ceiling;
 mod compare;
+mod compete;
 pub mod correct;
 mod dataset;
 mod diagnose;
@@ -51,6 +52,7 @@ pub const STAGES: &[&dyn Stage] = &[
     &correct::Correct,
     &extend::Extend,
     &compare::Compare,
+    &compete::Compete,
     &twins::TwinThresholds,
     &twins::Twins,
     &other_source::OtherSource,

@@ -1,0 +1,285 @@
+//! From fitted models to an answer: what is named, with intervals, and what remains.
+
+use super::competition::Competition;
+use super::forward::{Forward, Prediction};
+use super::likelihood::Likelihood;
+use super::parameters::{Declared, Model};
+use super::posterior::{Fit, Fitter, Start};
+use crate::diagnosis::{DiagnoseSettings, Estimate, Problem, Replay, Verdict};
+use crate::effects;
+use crate::error::Result;
+use crate::progress::Progress;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Largest probability that nothing is missing beside which an effect is named.
+const NOTHING: f64 = 0.05;
+/// Least probability of the kinds that are named without alternatives.
+const KNOWN: f64 = 0.9;
+/// Two-sided 95 % quantile of a normal number.
+const NORMAL: f64 = 1.96;
+
+/// What remains beside the answer, in a word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RestVerdict {
+    /// No more than noise of sensors and the declared error of the model itself.
+    Noise,
+    /// Motion that does not follow the base in the same way in all events.
+    Incoherent,
+    /// Something that is the same in all events and has no name.
+    Unnamed,
+}
+
+/// What remains beside the answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rest {
+    /// In a word.
+    pub verdict: RestVerdict,
+    /// Its power over that of the records, noise of sensors taken off.
+    pub share: f64,
+    /// The part of it that is the same in all events.
+    pub repeatable_share: f64,
+    /// Coherence of each output sensor with the prediction: frequency in Hz, and c.
+    pub coherence: BTreeMap<String, Vec<[f64; 2]>>,
+}
+
+/// A named effect.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Named {
+    /// Name of the effect.
+    pub kind: String,
+    /// Where it sits, for people; empty for the whole column.
+    pub target: String,
+    /// Its `[[effects]]` table.
+    pub table: toml::Table,
+    /// Its parameters by name, with 95 % intervals.
+    pub parameters: BTreeMap<String, Estimate>,
+}
+
+/// A set of kinds with its posterior probability.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Probable {
+    /// Kinds of the effects; none where nothing is missing.
+    pub kinds: Vec<String>,
+    /// Posterior probability among all models that were fitted.
+    pub probability: f64,
+}
+
+/// `competition.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Compared {
+    /// What is named: `unknown` only where nothing is and something that is the same in all events remains.
+    pub verdict: Verdict,
+    /// Named effects.
+    pub effects: Vec<Named>,
+    /// Sets of kinds, most probable first.
+    pub probabilities: Vec<Probable>,
+    /// Declared values recalibrated without any effect, as `[[effects]]`.
+    pub recalibrated: Vec<toml::Table>,
+    /// The same beside the named effects.
+    pub beside: Vec<toml::Table>,
+    /// Power of the residual over that of the records, mean over training and validation records and sensors: as declared,
+    /// recalibrated, with the answer.
+    pub residual_share: [f64; 3],
+    /// What remains.
+    pub rest: Rest,
+}
+
+/// Names what the declared model lacks.
+///
+/// # Errors
+/// When an event is unusable, the column cannot be built, or the declared column cannot be replayed.
+pub fn compete(
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+    progress: &dyn Progress,
+) -> Result<Compared> {
+    let forward = Forward::new(problem, replay, settings)?;
+    let likelihood = Likelihood::new(&forward);
+    let declared = Declared::new(problem)?;
+    let fitter = || Fitter { forward: &forward, likelihood: &likelihood };
+    let start = fit_declared(&fitter(), &declared)?;
+    progress.note(&format!("recalibrated: ln evidence {:.1}, {} replays", start.log_evidence, forward.replays()));
+    // What few elements leave wrong is taken out where it matters.
+    forward.anchor(&start.model.tables(&start.x))?;
+    let start = fitter().settled(&start)?;
+    let mut competition = Competition::new(fitter(), start, settings.max_effects);
+    competition.run(progress)?;
+    progress.note(&format!("{} replays", forward.replays()));
+    let declared_error = forward.predict(&[])?;
+    Ok(Answer { likelihood: &likelihood, competition: &competition, problem }.assembled(&declared_error))
+}
+
+/// The model without effects, most probable within its tolerances.
+fn fit_declared<'a>(fitter: &Fitter<'a>, declared: &'a Declared) -> Result<Fit<'a>> {
+    let model = Model { declared, effects: Vec::new() };
+    let x = vec![0.0; model.len()];
+    fitter.fit(Start { model, x, hyper: fitter.likelihood.start(), slopes: Vec::new() })
+}
+
+struct Answer<'c, 'a> {
+    likelihood: &'c Likelihood<'a>,
+    competition: &'c Competition<'a>,
+    problem: &'c Problem,
+}
+
+impl Answer<'_, '_> {
+    fn assembled(&self, declared: &Prediction) -> Compared {
+        let plain = &self.competition.fits[0];
+        let mass = self.masses();
+        let nothing = mass.get(&Vec::new()).copied().unwrap_or(0.0);
+        let best = self.competition.best();
+        let is_named = !best.model.effects.is_empty() && nothing < NOTHING;
+        let answer = if is_named { best } else { plain };
+        let is_alone = mass.get(&kinds(answer)).copied().unwrap_or(0.0) >= KNOWN;
+        let rest = self.rest(answer);
+        let verdict = match (is_named, is_alone, rest.verdict) {
+            (true, true, _) => Verdict::Known,
+            (true, false, _) => Verdict::Ambiguous,
+            (false, _, RestVerdict::Unnamed) => Verdict::Unknown,
+            (false, ..) => Verdict::None,
+        };
+        let mut probabilities: Vec<Probable> = mass
+            .iter()
+            .filter(|(_, p)| **p > 0.001)
+            .map(|(kinds, p)| Probable { kinds: kinds.iter().map(ToString::to_string).collect(), probability: *p })
+            .collect();
+        probabilities.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        let range = answer.model.declared.len();
+        Compared {
+            verdict,
+            effects: if is_named { self.found(answer) } else { Vec::new() },
+            probabilities,
+            recalibrated: plain.model.declared.tables(&plain.x),
+            beside: answer.model.declared.tables(&answer.x[..range]),
+            residual_share: [declared, &plain.prediction, &answer.prediction].map(|p| self.misfit(p)),
+            rest,
+        }
+    }
+
+    /// Posterior probability of each set of kinds.
+    fn masses(&self) -> BTreeMap<Vec<&'static str>, f64> {
+        let fits = &self.competition.fits;
+        let highest = self.competition.log_posterior(self.competition.best());
+        let mut mass: BTreeMap<Vec<&'static str>, f64> = BTreeMap::new();
+        for fit in fits {
+            *mass.entry(kinds(fit)).or_default() += (self.competition.log_posterior(fit) - highest).exp();
+        }
+        let total: f64 = mass.values().sum();
+        mass.values_mut().for_each(|m| *m /= total);
+        mass
+    }
+
+    /// Residual power over that of the records, mean over records and sensors.
+    fn misfit(&self, prediction: &Prediction) -> f64 {
+        let mut sum = [0.0, 0.0];
+        for p in prediction {
+            for (y, m) in p.outputs.iter().zip(&p.measured) {
+                let power: f64 = m.iter().map(|m| m.norm_sqr()).sum();
+                let rest: f64 = m.iter().zip(y).map(|(m, y)| (m - y).norm_sqr()).sum();
+                sum[0] += rest / power.max(f64::MIN_POSITIVE);
+                sum[1] += 1.0;
+            }
+        }
+        sum[0] / f64::max(sum[1], 1.0)
+    }
+
+    /// What remains beside `fit`.
+    fn rest(&self, fit: &Fit<'_>) -> Rest {
+        let parts = self.likelihood.shares_of_power(&fit.prediction, &fit.hyper);
+        let mut share = [0.0; 3];
+        let mut count = 0.0;
+        for [recorded, shared, own, left] in parts.iter().flatten() {
+            for (sum, part) in share.iter_mut().zip([shared, own, left]) {
+                *sum += part / recorded.max(f64::MIN_POSITIVE);
+            }
+            count += 1.0;
+        }
+        let [repeatable, event, left] = share.map(|s| s / f64::max(count, 1.0));
+        let noise = self.noise_share(fit);
+        let tolerance = self.problem.tolerances.model.powi(2);
+        let incoherent = (event + left - noise).max(0.0);
+        let verdict = if repeatable > tolerance && repeatable > 0.5 * incoherent {
+            RestVerdict::Unnamed
+        } else if incoherent > tolerance {
+            RestVerdict::Incoherent
+        } else {
+            RestVerdict::Noise
+        };
+        let outputs = &self.problem.array.outputs;
+        let coherence =
+            outputs.iter().enumerate().map(|(s, name)| (name.clone(), self.likelihood.coherence(&fit.hyper, s)));
+        Rest { verdict, share: repeatable + incoherent, repeatable_share: repeatable, coherence: coherence.collect() }
+    }
+
+    /// Power of sensor noise over that of the records.
+    fn noise_share(&self, fit: &Fit<'_>) -> f64 {
+        self.likelihood.noise_share(&fit.prediction, &fit.hyper)
+    }
+
+    /// Named effects; an interval is that of the curvature or of leaving one event out, whichever is wider.
+    fn found(&self, fit: &Fit<'_>) -> Vec<Named> {
+        let spread = spread(fit);
+        let of = |(index, instance): (usize, &effects::Instance)| {
+            let start = fit.model.start(index);
+            let parameters = instance.free.iter().enumerate().map(|(i, free)| {
+                let (x, half, p) = (fit.x[start + i], spread[start + i], free.parameter);
+                let [low, high] = p.bounds();
+                let ends = [x - half, x + half].map(|e| p.value(e.clamp(low, high)));
+                let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
+                (p.name.to_string(), Estimate { value: p.value(x), unit: p.unit.to_string(), ci95 })
+            });
+            Named {
+                kind: instance.kind.to_string(),
+                target: instance.place(),
+                table: fit.model.effect_table(&fit.x, index),
+                parameters: parameters.collect(),
+            }
+        };
+        fit.model.effects.iter().enumerate().map(of).collect()
+    }
+}
+
+/// Half widths of 95 % intervals of the coordinates.
+fn spread(fit: &Fit<'_>) -> Vec<f64> {
+    let n = fit.x.len();
+    let covariance = fit.covariance();
+    let left_out = fit.without_each_event();
+    let e = left_out.len() as f64;
+    (0..n)
+        .map(|i| {
+            let curved = NORMAL * covariance.as_ref().map_or(f64::INFINITY, |c| c[(i, i)].sqrt());
+            if left_out.len() < 2 {
+                return curved;
+            }
+            let mean = left_out.iter().map(|x| x[i]).sum::<f64>() / e;
+            let square: f64 = left_out.iter().map(|x| (x[i] - mean).powi(2)).sum();
+            let jackknife = ((e - 1.0) / e * square).sqrt() * student_95(left_out.len() - 1);
+            curved.max(jackknife)
+        })
+        .collect()
+}
+
+/// Two-sided 95 % quantile of Student's t with `n` degrees of freedom.
+///
+/// Source: Hill (1970), doi 10.1145/355598.355600, algorithm 396.
+pub fn student_95(n: usize) -> f64 {
+    const FEW: [f64; 2] = [12.706_205, 4.302_653];
+    if n <= 2 {
+        return FEW[n.max(1) - 1];
+    }
+    let n = n as f64;
+    let z = 1.959_964f64;
+    let (z3, z5, z7) = (z.powi(3), z.powi(5), z.powi(7));
+    z + (z3 + z) / (4.0 * n)
+        + (5.0 * z5 + 16.0 * z3 + 3.0 * z) / (96.0 * n * n)
+        + (3.0 * z7 + 19.0 * z5 + 17.0 * z3 - 15.0 * z) / (384.0 * n.powi(3))
+}
+
+fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
+    let mut kinds: Vec<&'static str> = fit.model.effects.iter().map(|e| e.kind).collect();
+    kinds.sort_unstable();
+    kinds
+}

@@ -1,0 +1,514 @@
+//! Which effects the records ask for: every effect at every place, alone and in pairs, against what is declared, by evidence.
+//!
+//! Around a fitted model each candidate is a direction in which its prediction changes; tolerances, discrepancy and the effects that
+//! are there already are marginalised beside it, so that its evidence is a small linear problem. The best of each kind are then fitted
+//! with the column itself, and the competition goes on around the best of these, and around it less each of its effects, until that
+//! changes nothing.
+
+use super::algebra::eliminated;
+use super::forward::{Forward, Prediction};
+use super::likelihood::{Likelihood, Slope};
+use super::parameters::{Model, is_replayed, prior_of};
+use super::posterior::{Fit, Fitter, Start, difference};
+use crate::effects::{self, Instance};
+use crate::error::Result;
+use crate::progress::Progress;
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+use std::collections::BTreeMap;
+
+/// Kinds that are fitted around one model, alone and in pairs.
+const KINDS: usize = 4;
+/// ln of the evidence that a candidate may fall short of what is declared by to be fitted.
+const PROMISING: f64 = -3.0;
+/// Candidates whose directions are taken anew beside a model, and places of one kind among them.
+const SHORTLIST: usize = 14;
+const PLACES: usize = 2;
+/// Pairs that get hyperparameters of their own.
+const PAIRS: usize = 8;
+/// Farthest strength along a direction, in that of its node.
+const FARTHEST: f64 = 2.0;
+/// Shares of the way to where the linear problem puts a set at which its fit may start.
+const SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
+/// Most rounds of the competition.
+const ROUNDS: usize = 8;
+/// Sizes of a strength at which a candidate is tried, in typical sizes: by replay, and by a sensor's operator.
+const NODES: [&[f64]; 2] = [&[1.0], &[0.25, 1.0, 2.0]];
+/// The same around what is declared, where no direction is extrapolated.
+const FAR_NODES: &[f64] = &[0.5, 1.0, 1.7];
+/// Prior probability of one effect more.
+const ONE_MORE: f64 = 0.25;
+
+/// A candidate at one strength, beside a model.
+struct Node {
+    instance: Instance,
+    /// Coordinates of its parameters there.
+    at: Vec<f64>,
+    /// Strength there over the deviation of its prior.
+    distance: f64,
+    is_one_sided: bool,
+}
+
+/// Candidates that the linear problem finds worth a fit.
+struct Proposal {
+    /// Effects, and coordinates to start from.
+    parts: Vec<(Instance, Vec<f64>)>,
+    /// What the coordinates of the model move beside them.
+    beside: Vec<f64>,
+    log_evidence: f64,
+}
+
+/// What the linear problem says of one node.
+struct Linear {
+    /// Its place among the nodes.
+    index: usize,
+    log_evidence: f64,
+}
+
+/// Fitted models by their effects.
+pub struct Competition<'a> {
+    fitter: Fitter<'a>,
+    instances: Vec<Instance>,
+    /// ln of the prior of an effect at a place, by kind.
+    ln_place: BTreeMap<&'static str, f64>,
+    max_effects: usize,
+    /// Everything that was fitted, what is declared first.
+    pub fits: Vec<Fit<'a>>,
+    expanded: Vec<Vec<Instance>>,
+    /// Directions of the first model that was expanded.
+    directions: Vec<(Node, Slope)>,
+}
+
+impl<'a> Competition<'a> {
+    /// Prepares the competition around `declared`, the fit without effects.
+    pub fn new(fitter: Fitter<'a>, declared: Fit<'a>, max_effects: usize) -> Self {
+        let instances = effects::instances(&fitter.forward.problem.array);
+        let mut places: BTreeMap<&'static str, f64> = BTreeMap::new();
+        instances.iter().for_each(|i| *places.entry(i.kind).or_default() += 1.0);
+        let kinds = places.len() as f64;
+        let ln_place = places.iter().map(|(kind, n)| (*kind, -(kinds * n).ln())).collect();
+        Self {
+            fitter,
+            instances,
+            ln_place,
+            max_effects,
+            fits: vec![declared],
+            expanded: Vec::new(),
+            directions: Vec::new(),
+        }
+    }
+
+    /// ln of the posterior of a fitted model up to a constant.
+    pub fn log_posterior(&self, fit: &Fit<'_>) -> f64 {
+        let places: f64 = fit.model.effects.iter().map(|e| self.ln_place.get(e.kind).copied().unwrap_or(-10.0)).sum();
+        fit.log_evidence + places + fit.model.effects.len() as f64 * ONE_MORE.ln()
+    }
+
+    /// The most probable model.
+    pub fn best(&self) -> &Fit<'a> {
+        let better = |a: &&Fit<'a>, b: &&Fit<'a>| self.log_posterior(a).total_cmp(&self.log_posterior(b));
+        self.fits.iter().max_by(better).unwrap_or(&self.fits[0])
+    }
+
+    fn known(&self, effects: &[Instance]) -> Option<usize> {
+        self.fits.iter().position(|f| is_same_set(&f.model.effects, effects))
+    }
+
+    /// Runs the competition to its end.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
+        self.from_declared(progress)?;
+        for _ in 0..ROUNDS {
+            let best = self.best().clone();
+            let mut open = vec![best.model.effects.clone()];
+            for left_out in 0..best.model.effects.len() {
+                open.push(self.fit_less(&best, left_out)?);
+            }
+            for effect in &best.model.effects {
+                if best.model.effects.len() > 2 && self.known(std::slice::from_ref(effect)).is_some() {
+                    open.push(vec![effect.clone()]);
+                }
+            }
+            let Some(next) = open
+                .into_iter()
+                .find(|set| set.len() < self.max_effects && !self.expanded.iter().any(|e| is_same_set(e, set)))
+            else {
+                return Ok(());
+            };
+            self.expand(next, progress)?;
+        }
+        Ok(())
+    }
+
+    /// Fits the most probable candidates from what is declared: where an effect is large, tolerances that were made to stand in for it
+    /// lead away from it.
+    fn from_declared(&mut self, progress: &dyn Progress) -> Result<()> {
+        let declared = self.fits[0].model.declared;
+        let plain = self.fitter.unfitted(Model { declared, effects: Vec::new() })?;
+        let likelihood = self.fitter.likelihood;
+        let hyper = likelihood.tuned(&plain.prediction, &plain.hyper, 2);
+        let mut plain = Fit { hyper, ..plain };
+        plain.cost = likelihood.nll(&plain.prediction, &plain.hyper);
+        let mut proposals = Vec::new();
+        for node in self.nodes(&plain, [FAR_NODES, FAR_NODES]) {
+            let mut all = plain.model.tables(&plain.x);
+            all.push(node.instance.at(&node.at));
+            let Ok(there) = self.fitter.forward.predict(&all) else { continue };
+            // Only what is already better than all that tolerances can do is worth a fit from here.
+            proposals.extend(self.discrete(&self.fits[0], node, &there));
+        }
+        proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
+        self.fit_chosen(&plain, proposals, progress);
+        Ok(())
+    }
+
+    /// Fits `fit` without one of its effects, where that is not known.
+    fn fit_less(&mut self, fit: &Fit<'a>, left_out: usize) -> Result<Vec<Instance>> {
+        let mut effects = fit.model.effects.clone();
+        let gone = effects.remove(left_out);
+        if self.known(&effects).is_some() {
+            return Ok(effects);
+        }
+        let start = fit.model.start(left_out);
+        let range = start..start + gone.free.len();
+        let kept = |i: &usize| !range.contains(i);
+        let x = (0..fit.x.len()).filter(kept).map(|i| fit.x[i]).collect();
+        let slopes = (0..fit.x.len()).filter(kept).map(|i| Some(fit.slopes[i].clone())).collect();
+        let model = Model { declared: fit.model.declared, effects: effects.clone() };
+        let found = self.fitter.fit(Start { model, x, hyper: fit.hyper.clone(), slopes })?;
+        self.fits.push(found);
+        Ok(effects)
+    }
+
+    /// Fits the most promising candidates beside the fitted model with `effects`.
+    fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
+        let Some(index) = self.known(&effects) else { return Ok(()) };
+        self.expanded.push(effects.clone());
+        let base = self.fits[index].clone();
+        let proposals = self.proposals(&base)?;
+        self.fit_chosen(&base, proposals, progress);
+        Ok(())
+    }
+
+    fn fit_chosen(&mut self, base: &Fit<'a>, proposals: Vec<Proposal>, progress: &dyn Progress) {
+        for set in chosen(proposals) {
+            let mut all = base.model.effects.clone();
+            all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
+            if all.len() > self.max_effects {
+                continue;
+            }
+            let known = self.known(&all);
+            let slopes = base.slopes.iter().cloned().map(Some).collect();
+            let model = Model { declared: base.model.declared, effects: all };
+            let x = self.started(base, &model, &set);
+            let Ok(found) = self.fitter.fit(Start { model, x, hyper: base.hyper.clone(), slopes }) else { continue };
+            let named: Vec<String> = found.model.effects.iter().map(|e| format!("{} {}", e.kind, e.place())).collect();
+            let gained = self.log_posterior(&found) - self.log_posterior(&self.fits[0]);
+            progress.note(&format!("{}: ln odds {gained:+.1} against nothing missing", named.join(" + ")));
+            match known {
+                Some(i) if self.fits[i].log_evidence >= found.log_evidence => {}
+                Some(i) => self.fits[i] = found,
+                None => self.fits.push(found),
+            }
+        }
+    }
+
+    /// Where to start a fit of `set` beside `base`: on the way to where the linear problem puts it, as far as the column agrees.
+    fn started(&self, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
+        let at = |share: f64| {
+            let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, d)| x + share * d).collect();
+            for (instance, start) in &set.parts {
+                let zero = instance.zero().unwrap_or_default();
+                x.extend(zero.iter().zip(start).map(|(a, b)| a + share * (b - a)));
+            }
+            let bounds = model.bounds();
+            x.iter_mut().zip(bounds).for_each(|(x, [low, high])| *x = x.clamp(low, high));
+            x
+        };
+        let cost = |x: &Vec<f64>| {
+            let found = self.fitter.forward.predict(&model.tables(x));
+            found.map_or(f64::INFINITY, |p| self.fitter.likelihood.nll(&p, &base.hyper))
+        };
+        let all: Vec<Vec<f64>> = SHARES.iter().map(|share| at(*share)).collect();
+        let costs: Vec<f64> = all.iter().map(cost).collect();
+        let best = (0..all.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
+        all.into_iter().nth(best).unwrap_or_default()
+    }
+
+    /// Candidates that the model lacks, at their nodes.
+    fn nodes(&self, base: &Fit<'a>, sizes: [&[f64]; 2]) -> Vec<Node> {
+        let input = &self.fitter.forward.problem.array.input;
+        let mut nodes = Vec::new();
+        for instance in &self.instances {
+            if base.model.effects.iter().any(|e| is_one(e, instance)) {
+                continue;
+            }
+            let Some(zero) = instance.zero() else {
+                nodes.push(Node { instance: instance.clone(), at: Vec::new(), distance: 1.0, is_one_sided: true });
+                continue;
+            };
+            let bounds = instance.bounds();
+            let sizes = sizes[usize::from(!is_replayed(instance, input))];
+            for (i, free) in instance.free.iter().enumerate().filter(|(_, f)| f.zero.is_some()) {
+                let is_one_sided = bounds[i].iter().any(|b| (b - zero[i]).abs() < 1e-12);
+                for size in sizes {
+                    for sign in [1.0, -1.0] {
+                        let at = (zero[i] + sign * size * free.size).clamp(bounds[i][0], bounds[i][1]);
+                        if (at - zero[i]).abs() < 1e-3 * size * free.size {
+                            continue;
+                        }
+                        let mut all = zero.clone();
+                        all[i] = at;
+                        let distance = (at - zero[i]) / prior_of(free)[1];
+                        nodes.push(Node { instance: instance.clone(), at: all, distance, is_one_sided });
+                    }
+                }
+            }
+        }
+        nodes
+    }
+
+    /// All candidates, most probable first, each at its best node.
+    ///
+    /// Directions known from another model serve to rank; those that rank high are taken anew beside this one.
+    fn proposals(&mut self, base: &Fit<'a>) -> Result<Vec<Proposal>> {
+        let mut proposals = Vec::new();
+        let mut nodes = Vec::new();
+        let is_first = self.directions.is_empty();
+        for node in self.nodes(base, NODES) {
+            if node.at.is_empty() || Forward::is_interference(&node.instance) {
+                let mut all = base.model.tables(&base.x);
+                all.push(node.instance.at(&node.at));
+                if let Ok(there) = self.fitter.forward.predict(&all) {
+                    proposals.extend(self.discrete(base, node, &there));
+                }
+                continue;
+            }
+            let known = self.directions.iter().find(|(n, _)| n.instance == node.instance && n.at == node.at);
+            match known.map(|(_, slope)| slope.clone()) {
+                Some(slope) if is_replayed(&node.instance, &self.fitter.forward.problem.array.input) => {
+                    nodes.push((node, slope));
+                }
+                _ => nodes.extend(self.direction(base, node)),
+            }
+        }
+        let (singles, _) = self.linear(base, &nodes);
+        let promising = shortlist(&nodes, &singles);
+        let mut anew = Vec::new();
+        let mut others = Vec::new();
+        for (i, (node, slope)) in nodes.into_iter().enumerate() {
+            if !promising.contains(&i) {
+                others.push((node, slope));
+            } else if is_first {
+                anew.push((node, slope));
+            } else {
+                anew.extend(self.direction(base, node));
+            }
+        }
+        let (singles, pairs) = self.linear(base, &anew);
+        let alone = singles.iter().filter_map(|s| self.tuned(base, &[&anew[s.index]]));
+        proposals.extend(alone);
+        if base.model.effects.len() + 2 <= self.max_effects {
+            proposals.extend(pairs.iter().filter_map(|[i, j]| self.tuned(base, &[&anew[*i], &anew[*j]])));
+        }
+        if is_first {
+            self.directions = anew.into_iter().chain(others).collect();
+        }
+        proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
+        Ok(proposals)
+    }
+
+    /// How the prediction of `base` changes towards a node.
+    fn direction(&self, base: &Fit<'a>, node: Node) -> Option<(Node, Slope)> {
+        let mut all = base.model.tables(&base.x);
+        all.push(node.instance.at(&node.at));
+        let there = self.fitter.forward.predict(&all).ok()?;
+        let slope = difference(&base.prediction, &there, 1.0);
+        Some((node, slope))
+    }
+
+    /// Candidates together by the linear prediction with hyperparameters of their own: what they explain is no discrepancy any more.
+    fn tuned(&self, base: &Fit<'a>, set: &[&(Node, Slope)]) -> Option<Proposal> {
+        let likelihood = self.fitter.likelihood;
+        let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(set.iter().map(|(_, s)| s.clone())).collect();
+        let prior = base.model.prior();
+        let n = base.x.len();
+        let mut precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
+        precision.extend(set.iter().map(|(node, _)| node.distance * node.distance));
+        let mut z: Vec<f64> = base.x.iter().zip(&prior).map(|(x, [mean, _])| x - mean).collect();
+        z.resize(n + set.len(), 0.0);
+        let mut prediction = (*base.prediction).clone();
+        let mut hyper = Likelihood::sharpened(&base.hyper);
+        let (mut cost, mut occam) = (0.0, 0.0);
+        for _ in 0..2 {
+            let reduced = likelihood.at(&prediction, &slopes, &hyper)?;
+            let mut step = solved(&reduced.g, &z, &precision)?;
+            for (i, (node, _)) in set.iter().enumerate() {
+                let least = if node.is_one_sided { 0.0 } else { -FARTHEST };
+                step[n + i] = (z[n + i] + step[n + i]).clamp(least, FARTHEST) - z[n + i];
+            }
+            for (slope, dx) in slopes.iter().zip(&step) {
+                for (p, change) in prediction.iter_mut().zip(slope.iter()) {
+                    for (y, d) in p.outputs.iter_mut().flatten().zip(change.iter().flatten()) {
+                        *y += d * *dx;
+                    }
+                }
+            }
+            z.iter_mut().zip(&step).for_each(|(z, d)| *z += d);
+            hyper = likelihood.tuned(&prediction, &hyper, 2);
+            let distance: f64 = z.iter().zip(&precision).map(|(z, p)| 0.5 * z * z * p).sum();
+            cost = likelihood.nll(&prediction, &hyper) + distance;
+            occam = (n..z.len()).map(|i| -0.5 * (1.0 + reduced.g[(i, i)] / precision[i]).ln()).sum();
+        }
+        let place: f64 = set.iter().map(|(node, _)| self.prior_of(&node.instance)).sum();
+        let part = |(i, (node, _)): (usize, &&(Node, Slope))| {
+            let zero = node.instance.zero().unwrap_or_default();
+            let start = zero.iter().zip(&node.at).map(|(a, b)| a + z[n + i] * (b - a));
+            let start = start.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
+            (node.instance.clone(), start)
+        };
+        let beside = (0..n).map(|i| prior[i][0] + z[i] - base.x[i]).collect();
+        let log_evidence = base.cost - cost + occam + place;
+        Some(Proposal { parts: set.iter().enumerate().map(part).collect(), beside, log_evidence })
+    }
+
+    /// A candidate that is either there or not, or that changes the records themselves.
+    fn discrete(&self, base: &Fit<'a>, node: Node, there: &Prediction) -> Option<Proposal> {
+        let likelihood = self.fitter.likelihood;
+        let hyper = likelihood.tuned(there, &base.hyper, 1);
+        let gained = likelihood.nll(&base.prediction, &base.hyper) - likelihood.nll(there, &hyper);
+        let hidden = if node.at.is_empty() { 0.0 } else { self.fitter.forward.records.len() as f64 };
+        let log_evidence = gained - hidden + self.prior_of(&node.instance);
+        Some(Proposal { parts: vec![(node.instance, node.at)], beside: vec![0.0; base.x.len()], log_evidence })
+    }
+
+    fn prior_of(&self, instance: &Instance) -> f64 {
+        self.ln_place.get(instance.kind).copied().unwrap_or(-10.0) + ONE_MORE.ln()
+    }
+
+    /// The best node of each candidate by the linear problem around `base`, and the best pairs of these.
+    fn linear(&self, base: &Fit<'a>, nodes: &[(Node, Slope)]) -> (Vec<Linear>, Vec<[usize; 2]>) {
+        let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(nodes.iter().map(|(_, s)| s.clone())).collect();
+        let Some(reduced) = self.fitter.likelihood.at(&base.prediction, &slopes, &Likelihood::sharpened(&base.hyper))
+        else {
+            return (Vec::new(), Vec::new());
+        };
+        let prior = base.model.prior();
+        let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
+        // The base is where its posterior is highest: beside it, only what the prior holds is added to the information.
+        let Some((left, _)) = centred(&reduced.g, base, &precision) else { return (Vec::new(), Vec::new()) };
+        let last = left.nrows() - 1;
+        let mut best: Vec<Linear> = Vec::new();
+        let held = |node: &Node, share: f64| {
+            // Beyond its node and far from it a direction says little.
+            share.clamp(if node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST)
+        };
+        for (index, (node, _)) in nodes.iter().enumerate() {
+            let (a, b) = (left[(index, index)], left[(index, last)]);
+            let total = a + node.distance * node.distance;
+            let share = held(node, b / total);
+            let gain = b * share - 0.5 * total * share * share - 0.5 * (total / (node.distance * node.distance)).ln();
+            let found = Linear { index, log_evidence: gain + self.prior_of(&node.instance) };
+            match best.iter_mut().find(|p| nodes[p.index].0.instance == node.instance) {
+                Some(known) if known.log_evidence >= found.log_evidence => {}
+                Some(known) => *known = found,
+                None => best.push(found),
+            }
+        }
+        best.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
+        let mut pairs: Vec<([usize; 2], f64)> = Vec::new();
+        for (n, one) in best.iter().enumerate().take(SHORTLIST) {
+            for other in best.iter().take(SHORTLIST).skip(n + 1) {
+                let pair = [one.index, other.index];
+                let [p, q] = pair.map(|i| &nodes[i].0);
+                let [a, d] = pair.map(|i| left[(i, i)] + nodes[i].0.distance.powi(2));
+                let (c, [e, f]) = (left[(pair[0], pair[1])], pair.map(|i| left[(i, last)]));
+                let determinant = a * d - c * c;
+                if determinant <= 1e-9 * a * d {
+                    continue;
+                }
+                let shares = [held(p, (d * e - c * f) / determinant), held(q, (a * f - c * e) / determinant)];
+                let linear = e * shares[0] + f * shares[1];
+                let square = a * shares[0] * shares[0] + d * shares[1] * shares[1] + 2.0 * c * shares[0] * shares[1];
+                let occam = 0.5 * (determinant / (p.distance * q.distance).powi(2)).ln();
+                pairs.push((pair, linear - 0.5 * square - occam));
+            }
+        }
+        pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
+        let mut known: Vec<[&str; 2]> = Vec::new();
+        let is_new = |(pair, _): &([usize; 2], f64)| {
+            let mut kinds = pair.map(|i| nodes[i].0.instance.kind);
+            kinds.sort_unstable();
+            let is_new = !known.contains(&kinds);
+            known.push(kinds);
+            is_new
+        };
+        let pairs = pairs.into_iter().filter(is_new).take(PAIRS).map(|(pair, _)| pair).collect();
+        (best, pairs)
+    }
+}
+
+/// Normal equations of what is beside the coordinates of `base`, these eliminated.
+fn centred(g: &Mat<f64>, base: &Fit<'_>, precision: &[f64]) -> Option<(Mat<f64>, f64)> {
+    let n = base.x.len();
+    let last = g.nrows() - 1;
+    let mut own = g.clone();
+    for (i, [mean, _]) in base.model.prior().iter().enumerate() {
+        let pull = (base.x[i] - mean) * precision[i];
+        own[(i, last)] -= pull;
+        own[(last, i)] -= pull;
+    }
+    eliminated(&own, &(0..n).collect::<Vec<_>>(), precision)
+}
+
+/// Nodes of the candidates worth another look: the best places of the best kinds.
+fn shortlist(nodes: &[(Node, Slope)], ranked: &[Linear]) -> Vec<usize> {
+    let mut kinds: BTreeMap<&'static str, usize> = BTreeMap::new();
+    let mut found: Vec<&Instance> = Vec::new();
+    for linear in ranked {
+        let instance = &nodes[linear.index].0.instance;
+        let count = kinds.entry(instance.kind).or_default();
+        *count += 1;
+        if *count <= PLACES && found.len() < SHORTLIST {
+            found.push(instance);
+        }
+    }
+    (0..nodes.len()).filter(|i| found.contains(&&nodes[*i].0.instance)).collect()
+}
+
+/// The step of coordinates `z` from the means of their prior that normal equations ask for.
+fn solved(g: &Mat<f64>, z: &[f64], precision: &[f64]) -> Option<Vec<f64>> {
+    let n = z.len();
+    let a = Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { precision[i] } else { 0.0 });
+    let side = Mat::from_fn(n, 1, |i, _| g[(i, n)] - z[i] * precision[i]);
+    let step = a.llt(Side::Lower).ok()?.solve(&side);
+    Some((0..n).map(|i| step[(i, 0)]).collect())
+}
+
+/// Sets of candidates to be fitted: the best place of each set of kinds.
+fn chosen(proposals: Vec<Proposal>) -> Vec<Proposal> {
+    let mut known: Vec<Vec<&'static str>> = Vec::new();
+    let mut sets = Vec::new();
+    for proposal in proposals {
+        let mut kinds: Vec<&'static str> = proposal.parts.iter().map(|(i, _)| i.kind).collect();
+        kinds.sort_unstable();
+        let count = sets.iter().filter(|s: &&Proposal| s.parts.len() == proposal.parts.len()).count();
+        if proposal.log_evidence >= PROMISING && count < KINDS && !known.contains(&kinds) {
+            known.push(kinds);
+            sets.push(proposal);
+        }
+    }
+    sets
+}
+
+/// Whether two candidates are the same parameters of the same effect at the same place.
+fn is_one(a: &Instance, b: &Instance) -> bool {
+    a.is_same(b) && a.is_alike(b)
+}
+
+/// Whether two sets hold the same effects in any order.
+pub fn is_same_set(one: &[Instance], other: &[Instance]) -> bool {
+    one.len() == other.len() && one.iter().all(|a| other.iter().any(|b| is_one(a, b)))
+}

@@ -1,0 +1,299 @@
+//! What a model lets every sensor record, in the frequency domain: motions of the column by replay, what sensors make of them by
+//! their operators.
+//!
+//! ```text
+//! θ ─► replay (rough + difference to the fine one at the anchor) ─► window, taper, transform ─► operators ─► prediction
+//! ```
+//!
+//! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
+
+use crate::diagnosis::spectra::{self, Group};
+use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
+use crate::effects::{self, Channel, Effect, Instance, Operator, Place};
+use crate::error::{Error, Result};
+use crate::numerics::spectrum;
+use realfft::num_complex::Complex;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use toml::Table;
+
+type C64 = Complex<f64>;
+
+/// One value a bin for each sensor, `[sensor][bin]`.
+pub type Bins = Vec<Vec<C64>>;
+
+/// What is predicted of one record.
+#[derive(Debug, Clone)]
+pub struct Predicted {
+    /// What the output sensors record, `[sensor][bin]`.
+    pub outputs: Bins,
+    /// Motion of the base, by bin.
+    pub base: Vec<C64>,
+    /// What was recorded, less what instruments added by themselves, `[sensor][bin]`.
+    pub measured: Bins,
+}
+
+/// A prediction of every record, group by group.
+pub type Prediction = Vec<Predicted>;
+
+/// Where a record stands.
+#[derive(Debug, Clone, Copy)]
+pub struct At {
+    /// Its group: the event.
+    pub group: usize,
+    /// Its place in the group: the component.
+    pub record: usize,
+}
+
+/// The column and the sensors of a problem.
+pub struct Forward<'a> {
+    /// What is known and what is to be explained.
+    pub problem: &'a Problem,
+    /// Events as spectra.
+    pub groups: Vec<Group>,
+    /// Every record in order.
+    pub records: Vec<At>,
+    replay: &'a dyn Replay,
+    names: Vec<String>,
+    known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
+    /// Fine less rough at the anchor, by record.
+    difference: Mutex<Option<Arc<Vec<Bins>>>>,
+    replays: Mutex<usize>,
+}
+
+impl<'a> Forward<'a> {
+    /// Prepares `problem`.
+    ///
+    /// # Errors
+    /// When an event is unusable.
+    pub fn new(problem: &'a Problem, replay: &'a dyn Replay, settings: &DiagnoseSettings) -> Result<Self> {
+        // What the column has wrong is part of the likelihood, not of the noise.
+        let settings = DiagnoseSettings { model_error: 0.0, ..settings.clone() };
+        let groups = spectra::groups(problem, &settings)?;
+        let of_group = |(group, g): (usize, &Group)| (0..g.records.len()).map(move |record| At { group, record });
+        let records = groups.iter().enumerate().flat_map(of_group).collect();
+        Ok(Self {
+            problem,
+            records,
+            groups,
+            replay,
+            names: problem.array.sensors().map(String::from).collect(),
+            known: Mutex::default(),
+            difference: Mutex::default(),
+            replays: Mutex::default(),
+        })
+    }
+
+    /// Replays run so far.
+    pub fn replays(&self) -> usize {
+        *lock(&self.replays)
+    }
+
+    /// Frequencies of the bins of a record, Hz.
+    pub fn frequencies_hz(&self, at: At) -> &[f64] {
+        &self.groups[at.group].frequencies_hz
+    }
+
+    /// Whether an effect of this table moves the column.
+    fn is_shaken(&self, table: &Table) -> bool {
+        let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
+        let input = Some(self.problem.array.input.as_str());
+        text("kind").and_then(|kind| effects::find(kind).ok()).is_none_or(|entry| {
+            entry.catalogue.class != effects::Class::Sensor
+                || entry.name == "sensor_depth"
+                || text("sensor") == input
+                || text("with") == input
+        })
+    }
+
+    fn spectra_of(&self, motions: Motions) -> Result<Vec<Bins>> {
+        let of = |at: &At| {
+            let record = &self.groups[at.group].records[at.record];
+            let event = &self.problem.events[record.event];
+            let motion = motions
+                .get(record.event)
+                .and_then(Option::as_ref)
+                .ok_or_else(|| Error::new("the column did not finish").at(format!("event `{}`", event.name)))?;
+            Ok(motion.iter().map(|history| self.bins(*at, history)).collect())
+        };
+        self.records.iter().map(of).collect()
+    }
+
+    /// Spectrum of a history as the record `at` is seen.
+    fn bins(&self, at: At, history: &[f64]) -> Vec<C64> {
+        let group = &self.groups[at.group];
+        let window = group.records[at.record].window.clone();
+        let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
+        let first = (group.frequencies_hz[0] / step_hz).round() as usize;
+        group.convolver.tapered(history.get(window).unwrap_or_default(), first, group.frequencies_hz.len())
+    }
+
+    /// Motions at the output sensors under the effects that move the column, as spectra.
+    fn motions(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
+        let shaken: Vec<Table> = tables.iter().filter(|t| self.is_shaken(t)).cloned().collect();
+        let key: String = shaken.iter().map(|t| format!("{t};")).collect();
+        if let Some(known) = lock(&self.known).get(&key) {
+            return Ok(known.clone());
+        }
+        *lock(&self.replays) += 1;
+        let mut found = self.spectra_of(self.replay.replay_roughly(&shaken)?)?;
+        if let Some(difference) = lock(&self.difference).as_deref() {
+            add(&mut found, difference, 1.0);
+        }
+        let found = Arc::new(found);
+        lock(&self.known).insert(key, found.clone());
+        Ok(found)
+    }
+
+    /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there.
+    ///
+    /// # Errors
+    /// When the column cannot be replayed.
+    pub fn anchor(&self, tables: &[Table]) -> Result<()> {
+        let shaken: Vec<Table> = tables.iter().filter(|t| self.is_shaken(t)).cloned().collect();
+        let mut difference = self.spectra_of(self.replay.replay(&shaken)?)?;
+        let rough = self.spectra_of(self.replay.replay_roughly(&shaken)?)?;
+        add(&mut difference, &rough, -1.0);
+        *lock(&self.difference) = Some(Arc::new(difference));
+        lock(&self.known).clear();
+        Ok(())
+    }
+
+    /// What every sensor records under `tables` on top of what is declared.
+    ///
+    /// # Errors
+    /// When an effect cannot be built or the column cannot be replayed.
+    pub fn predict(&self, tables: &[Table]) -> Result<Prediction> {
+        let motions = self.motions(tables)?;
+        let all: Vec<Table> = self.problem.declared.iter().chain(tables).cloned().collect();
+        let built = effects::build_all(&all)?;
+        let sources: Vec<usize> = (0..self.names.len()).map(|s| self.source(&built, s)).collect();
+        let mut prediction = Vec::with_capacity(self.records.len());
+        let mut first = 0;
+        for g in 0..self.groups.len() {
+            let count = self.groups[g].records.len();
+            prediction.extend(self.of_group(g, &built, &sources, &motions[first..first + count]));
+            first += count;
+        }
+        Ok(prediction)
+    }
+
+    fn of_group(&self, g: usize, built: &[Box<dyn Effect>], sources: &[usize], motions: &[Bins]) -> Vec<Predicted> {
+        let group = &self.groups[g];
+        let n_record = group.records.len();
+        let components: Vec<usize> = group.records.iter().map(|r| self.problem.events[r.event].component()).collect();
+        // What a single component loses to the other cannot be told from a gain.
+        let entry = |o: &Operator, to: usize, from: usize| match (n_record, components[to], components[from]) {
+            (1, ..) => o.0[0][0],
+            (_, to @ (0 | 1), from @ (0 | 1)) => o.0[to][from],
+            (_, a, b) => C64::from(f64::from(u8::from(a == b))),
+        };
+        let through = |operators: &Option<Vec<Operator>>, to: usize, inputs: &[&[C64]]| -> Vec<C64> {
+            let Some(operators) = operators else { return inputs[to].to_vec() };
+            let at = |(k, o): (usize, &Operator)| (0..n_record).map(|q| entry(o, to, q) * inputs[q][k]).sum();
+            operators.iter().enumerate().map(at).collect()
+        };
+        let measured: Vec<Bins> = (0..n_record).map(|record| self.measured(At { group: g, record }, built)).collect();
+        let undone: Option<Vec<Operator>> =
+            self.operators(g, built, 0).map(|all| all.iter().map(Operator::undone).collect());
+        let recorded: Vec<&[C64]> = measured.iter().map(|m| m[sources[0]].as_slice()).collect();
+        let bases: Vec<Vec<C64>> = (0..n_record).map(|r| through(&undone, r, &recorded)).collect();
+        let arriving: Vec<&dyn Effect> =
+            built.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect();
+        let n_sensor = self.names.len() - 1;
+        let mut outputs: Vec<Bins> = vec![vec![Vec::new(); n_sensor]; n_record];
+        for s in 0..n_sensor {
+            let operators = self.operators(g, built, s + 1);
+            let own: Vec<Vec<C64>> = (0..n_record)
+                .map(|r| {
+                    let mut motion = motions[r][s].clone();
+                    if !arriving.is_empty() {
+                        let more = self.arrivals(At { group: g, record: r }, &arriving, s);
+                        motion.iter_mut().zip(more).for_each(|(m, a)| *m += a);
+                    }
+                    motion
+                })
+                .collect();
+            let own: Vec<&[C64]> = own.iter().map(Vec::as_slice).collect();
+            // What sensor s feels is on the channel of its source.
+            let Some(channel) = sources[s + 1].checked_sub(1) else { continue };
+            for (r, outputs) in outputs.iter_mut().enumerate() {
+                outputs[channel] = through(&operators, r, &own);
+            }
+        }
+        let rows = outputs.into_iter().zip(bases).zip(measured);
+        rows.map(|((mut outputs, base), mut measured)| {
+            measured.remove(0);
+            // A channel that the input sensor's labels took shows the base.
+            outputs.iter_mut().filter(|o| o.is_empty()).for_each(|o| o.clone_from(&base));
+            Predicted { outputs, base, measured }
+        })
+        .collect()
+    }
+
+    /// Recorded channels less interference, the input sensor first.
+    fn measured(&self, at: At, built: &[Box<dyn Effect>]) -> Bins {
+        let record = &self.groups[at.group].records[at.record];
+        let event = &self.problem.events[record.event];
+        let array = &self.problem.array;
+        let channel = |s: usize| {
+            let history = if s == 0 { &event.input } else { &event.outputs[s - 1] };
+            let channel = Channel {
+                sensor: &self.names[s],
+                component: array.components.get(event.component()).map_or("", String::as_str),
+                event: &event.name,
+                dt_s: event.dt_s,
+                acceleration_m_s2: history,
+            };
+            let mut bins = record.channels[s].clone();
+            for added in built.iter().filter_map(|e| e.estimated_interference(&channel)) {
+                bins.iter_mut().zip(self.bins(at, &added)).for_each(|(b, a)| *b -= a);
+            }
+            bins
+        };
+        (0..self.names.len()).map(channel).collect()
+    }
+
+    /// What sensor `index` makes of motions at the bins of group `g`; `None` where it changes nothing.
+    fn operators(&self, g: usize, built: &[Box<dyn Effect>], index: usize) -> Option<Vec<Operator>> {
+        let place = Place { sensor: &self.names[index], components: &self.problem.array.components };
+        effects::operator(built, &place, 1.0)?;
+        let at = |f: &f64| effects::operator(built, &place, *f).unwrap_or(Operator::IDENTITY);
+        Some(self.groups[g].frequencies_hz.iter().map(at).collect())
+    }
+
+    /// The channel on which the motion of `sensor` was recorded.
+    fn source(&self, built: &[Box<dyn Effect>], sensor: usize) -> usize {
+        let index = |name: &str| self.names.iter().position(|n| n == name);
+        let pairs = built.iter().filter_map(|e| e.exchange());
+        pairs.filter_map(|(a, b)| index(a).zip(index(b))).fold(sensor, |at, (a, b)| match at {
+            at if at == a => b,
+            at if at == b => a,
+            at => at,
+        })
+    }
+
+    /// Further arrivals at output sensor `s` of a record: what arrives late is beyond its end, not at its beginning.
+    fn arrivals(&self, at: At, arriving: &[&dyn Effect], s: usize) -> Vec<C64> {
+        let event = &self.problem.events[self.groups[at.group].records[at.record].event];
+        let depth_m = self.problem.array.depths_m[s];
+        let factor = |f: f64| arriving.iter().filter_map(|e| e.arrival(depth_m, f)).sum::<C64>();
+        let [arrived] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| [u * factor(f)]);
+        self.bins(at, &arrived)
+    }
+
+    /// Whether a candidate's measured data differ from the plain ones: nothing linear says what it does.
+    pub fn is_interference(instance: &Instance) -> bool {
+        matches!(instance.kind, "machine_hum" | "baseline_tilt")
+    }
+}
+
+fn add(to: &mut [Bins], from: &[Bins], factor: f64) {
+    for (to, from) in to.iter_mut().flatten().flatten().zip(from.iter().flatten().flatten()) {
+        *to += from * factor;
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

@@ -1,0 +1,137 @@
+//! A made-up array for tests: a uniform elastic column that an analytic solution replays.
+
+use crate::column::{Layer, Profile};
+use crate::diagnosis::{Event, Motions, NoiseSpectrum, Problem, Replay};
+use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
+use crate::error::Result;
+use crate::manifest::Tolerances;
+use crate::numerics::{random, spectrum};
+use crate::records::Split;
+use rand_distr::{Distribution, StandardNormal};
+use realfft::num_complex::Complex;
+use std::f64::consts::TAU;
+
+type C64 = Complex<f64>;
+
+pub const DT_S: f64 = 0.02;
+const STEPS: usize = 2048;
+const DEPTH_M: f64 = 40.0;
+/// Damping ratio of the declared column.
+pub const DAMPING: f64 = 0.02;
+
+fn array(vs_m_s: f64) -> Array {
+    Array {
+        profile: Profile {
+            water_table_m: 100.0,
+            ..Profile::plain(vec![Layer::plain("elastic", DEPTH_M, 2000.0, vs_m_s)])
+        },
+        input: "base".into(),
+        outputs: ["mid", "top"].map(String::from).to_vec(),
+        depths_m: vec![20.0, 0.0],
+        components: ["EW", "NS"].map(String::from).to_vec(),
+    }
+}
+
+fn transfer(vs_m_s: f64, damping_ratio: f64, depth_m: f64, frequency_hz: f64) -> C64 {
+    let k = TAU * frequency_hz / (C64::new(1.0, 2.0 * damping_ratio).sqrt() * vs_m_s);
+    (k * depth_m).cos() / (k * DEPTH_M).cos()
+}
+
+fn moved(base: &[f64], [vs_m_s, damping_ratio]: [f64; 2], depth_m: f64) -> Vec<f64> {
+    let [motion] = spectrum::respond([base], DT_S, |f, [u]| [u * transfer(vs_m_s, damping_ratio, depth_m, f)]);
+    motion
+}
+
+/// What holds at the made-up site.
+pub struct Truth<'a> {
+    /// `[[effects]]` of sensors.
+    pub table: &'a str,
+    /// Velocity (m/s) and damping ratio of the column, declared as 200 m/s and [`DAMPING`].
+    pub soil: [f64; 2],
+    /// Noise of every sensor, m/s².
+    pub noise_m_s2: f64,
+    /// Coherence at a frequency.
+    pub coherence: fn(f64) -> f64,
+    /// For all that is drawn.
+    pub seed: u64,
+}
+
+impl Default for Truth<'_> {
+    fn default() -> Self {
+        Self { table: "", soil: [200.0, DAMPING], noise_m_s2: 0.01, coherence: |_| 1.0, seed: 5 }
+    }
+}
+
+/// Eight events of a uniform column.
+pub fn problem(truth: &Truth<'_>) -> Problem {
+    let tables: Vec<toml::Table> =
+        if truth.table.is_empty() { Vec::new() } else { vec![toml::from_str(truth.table).unwrap()] };
+    let built = effects::build_all(&tables).unwrap();
+    let array = array(200.0);
+    let mut stream = random::stream(truth.seed, "made up");
+    let mut events = Vec::new();
+    for e in 0..8 {
+        let name = format!("E{e}");
+        let mut motions: Vec<Channels> = vec![Vec::new(); 3];
+        let size = 0.5 + 0.2 * f64::from(e);
+        for _ in 0..2 {
+            let envelope = |i: usize| size * (-((i as f64 - 700.0) / 250.0).powi(2)).exp();
+            let white: Vec<f64> = (0..STEPS).map(|i| envelope(i) * sample(&mut stream)).collect();
+            motions[0].push(white.clone());
+            for (s, z) in [(1, 20.0), (2, 0.0)] {
+                let follows = moved(&white, truth.soil, z);
+                let other: Vec<f64> = (0..STEPS).map(|i| envelope(i) * sample(&mut stream)).collect();
+                let strays = moved(&other, truth.soil, z);
+                let c = truth.coherence;
+                let [both] = spectrum::respond([&follows], DT_S, |f, [y]| [y * c(f)]);
+                let [rest] = spectrum::respond([&strays], DT_S, |f, [y]| [y * (1.0 - c(f).powi(2)).sqrt()]);
+                motions[s].push(both.iter().zip(rest).map(|(a, b)| a + b).collect());
+            }
+        }
+        let names: Vec<String> = array.sensors().map(String::from).collect();
+        let recording = Recording {
+            event: &name,
+            dt_s: DT_S,
+            sensors: &names,
+            depths_m: &[DEPTH_M, 20.0, 0.0],
+            components: &array.components,
+        };
+        let mut recorded = effects::observe(&recording, &motions, &built, Direction::Distort);
+        recorded.iter_mut().flatten().flatten().for_each(|v| *v += truth.noise_m_s2 * sample(&mut stream));
+        for c in 0..2 {
+            events.push(Event {
+                name: name.clone(),
+                situation: Situation::of(c, &name, ["E0"]),
+                split: if e < 6 { Split::Train } else { Split::Validation },
+                dt_s: DT_S,
+                input: recorded[0][c].clone(),
+                outputs: recorded[1..].iter().map(|s| s[c].clone()).collect(),
+                noise: vec![NoiseSpectrum::white(truth.noise_m_s2, DT_S); 3],
+            });
+        }
+    }
+    Problem { array, declared: Vec::new(), tolerances: Tolerances::default(), events }
+}
+
+/// Replays the uniform column, which knows one velocity and one damping ratio.
+pub struct Uniform<'a>(pub &'a Problem);
+
+impl Replay for Uniform<'_> {
+    fn replay(&self, tables: &[toml::Table]) -> Result<Motions> {
+        let of = |kind: &'static str, key: &'static str| {
+            let is_kind = move |t: &&toml::Table| t["kind"].as_str() == Some(kind);
+            tables.iter().filter(is_kind).filter_map(move |t| t.get(key)?.as_float())
+        };
+        let vs_m_s = 200.0 * of("layer_velocity", "ln_factor").sum::<f64>().exp();
+        let damping_ratio = DAMPING * of("small_strain_damping", "multiplier").product::<f64>();
+        let passed = |event: &Event| {
+            let at = |z: &f64| moved(&event.input, [vs_m_s, damping_ratio], *z);
+            Some(self.0.array.depths_m.iter().map(at).collect())
+        };
+        Ok(self.0.events.iter().map(passed).collect())
+    }
+}
+
+fn sample(stream: &mut impl rand::Rng) -> f64 {
+    StandardNormal.sample(stream)
+}

@@ -1,0 +1,296 @@
+//! One parameter space: declared values that may be off within their tolerances, and the parameters of effects, each with a prior.
+//!
+//! | parameter                        | coordinate                | prior                                            |
+//! |----------------------------------|---------------------------|--------------------------------------------------|
+//! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`COMMON_VELOCITY_LN`] for all together |
+//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln`                 |
+//! | reference strain                 | standard deviations       | N(0, 1), [`NONLINEARITY_LN`]                     |
+//! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
+//! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
+//! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
+
+use crate::diagnosis::Problem;
+use crate::effects::{self, Array, Class, Free, Instance};
+use crate::error::{Error, Result};
+use faer::{Mat, Side};
+use toml::Table;
+
+/// Prior standard deviation of the ln of a reference strain.
+pub const NONLINEARITY_LN: f64 = 0.15;
+/// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
+pub const COMMON_VELOCITY_LN: f64 = 0.01;
+/// Standard deviations of the prior of a strength, as multiples of its typical size.
+pub const WIDE: f64 = 1.5;
+/// Most depth ranges with a velocity of their own.
+const MAX_RANGES: usize = 20;
+/// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
+const MODES: [usize; 2] = [9, 3];
+/// Farthest an unknown may go from the mean of its prior, standard deviations.
+const FARTHEST: f64 = 6.0;
+/// Step of a finite difference by replay and of one by a sensor's operator, prior standard deviations.
+const STEPS: [f64; 2] = [0.05, 0.02];
+
+/// A declared value that may be off within its tolerance: the effect that moves it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Tolerance {
+    /// The effect; one free parameter.
+    pub instance: Instance,
+    /// Prior standard deviation of its coordinate.
+    pub deviation: f64,
+}
+
+impl Tolerance {
+    fn new(kind: &'static str, target: &[(&str, toml::Value)], deviation: f64) -> Result<Self> {
+        let none = || Error::new(format!("effect `{kind}` has no strength to be a tolerance"));
+        let parameter = effects::find(kind)?.catalogue.parameters.first().ok_or_else(none)?;
+        let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
+        let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
+        Ok(Self { instance: Instance { kind, target, free }, deviation })
+    }
+
+    fn coordinate(&self, z: f64) -> f64 {
+        let p = self.instance.free[0].parameter;
+        p.coordinate(p.zero.unwrap_or(0.0)) + self.deviation * z
+    }
+}
+
+/// What may be off in the declared site.
+#[derive(Debug, Clone)]
+pub struct Declared {
+    /// Depths between which velocities move together, m.
+    pub cuts_m: Vec<f64>,
+    /// ln of the velocity of each range by depth mode, `[range][mode]`, at one prior standard deviation of the mode.
+    pub modes: Vec<Vec<f64>>,
+    /// The other tolerances.
+    pub others: Vec<Tolerance>,
+    input: String,
+}
+
+impl Declared {
+    /// The tolerances of `problem`.
+    ///
+    /// # Errors
+    /// When an effect that stands for one is not registered.
+    pub fn new(problem: &Problem) -> Result<Self> {
+        let (array, t) = (&problem.array, &problem.tolerances);
+        let cuts_m = ranges(array);
+        let modes = modes(array, &cuts_m, t.vs_ln);
+        let mut others = vec![
+            Tolerance::new("small_strain_damping", &[], t.damping_ln)?,
+            Tolerance::new("nonlinearity", &[], NONLINEARITY_LN)?,
+        ];
+        for sensor in array.sensors() {
+            let target = [("sensor", sensor.into())];
+            others.push(Tolerance::new("sensor_gain", &target, t.gain_ln)?);
+            others.push(Tolerance::new("clock_offset", &target, t.clock_s)?);
+            if sensor != array.input {
+                others.push(Tolerance::new("sensor_depth", &target, t.depth_m)?);
+            }
+            if array.components.len() > 1 {
+                others.push(Tolerance::new("sensor_orientation", &target, t.orientation_deg)?);
+            }
+        }
+        // What has nothing to act on in this column is no tolerance of it.
+        let acts = |o: &Tolerance| {
+            let effect = effects::build(&o.instance.at(&[o.coordinate(1.0)]));
+            effect.is_ok_and(|e| e.refusal(&array.profile).is_none())
+        };
+        others.retain(|o| o.deviation > 0.0 && acts(o));
+        Ok(Self { cuts_m, modes, others, input: array.input.clone() })
+    }
+
+    /// Depth modes.
+    pub fn n_mode(&self) -> usize {
+        self.modes.first().map_or(0, Vec::len)
+    }
+
+    /// Number of coordinates.
+    pub fn len(&self) -> usize {
+        self.n_mode() + self.others.len()
+    }
+
+    /// ln of the factor on the velocity of each range at the coordinates `z`.
+    pub fn ln_factors(&self, z: &[f64]) -> Vec<f64> {
+        self.modes.iter().map(|row| row.iter().zip(z).map(|(m, z)| m * z).sum()).collect()
+    }
+
+    /// `[[effects]]` tables at the coordinates `z`; what is as declared is left out.
+    pub fn tables(&self, z: &[f64]) -> Vec<Table> {
+        let factors = self.ln_factors(z);
+        let ranges = self.cuts_m.windows(2).zip(factors).filter(|(_, ln)| *ln != 0.0);
+        let mut tables: Vec<Table> = ranges
+            .map(|(pair, ln)| {
+                let mut table = Table::new();
+                table.insert("kind".into(), "layer_velocity".into());
+                table.insert("top_m".into(), pair[0].into());
+                table.insert("bottom_m".into(), pair[1].into());
+                // The range of the effect; velocities beyond it are no tolerance.
+                table.insert("ln_factor".into(), ln.clamp(-0.7, 0.7).into());
+                table
+            })
+            .collect();
+        let others = self.others.iter().zip(&z[self.n_mode()..]).filter(|(_, z)| **z != 0.0);
+        tables.extend(others.map(|(o, z)| o.instance.at(&[o.coordinate(*z)])));
+        tables
+    }
+
+    /// Whether coordinate `i` changes how the column is shaken.
+    fn is_replayed(&self, i: usize) -> bool {
+        i.checked_sub(self.n_mode()).is_none_or(|i| is_replayed(&self.others[i].instance, &self.input))
+    }
+}
+
+/// Whether an effect changes the motion of the column, and not only what output sensors make of it.
+pub fn is_replayed(instance: &Instance, input: &str) -> bool {
+    instance.class() != Class::Sensor
+        || instance.kind == "sensor_depth"
+        || ["sensor", "with"].iter().any(|key| instance.target.get(*key).and_then(toml::Value::as_str) == Some(input))
+}
+
+/// The declared site with some effects, all of it estimated together.
+#[derive(Debug, Clone)]
+pub struct Model<'a> {
+    /// What may be off.
+    pub declared: &'a Declared,
+    /// Effects that the site has besides.
+    pub effects: Vec<Instance>,
+}
+
+impl<'a> Model<'a> {
+    /// Number of coordinates: tolerances, then the free parameters of each effect.
+    pub fn len(&self) -> usize {
+        self.declared.len() + self.effects.iter().map(|e| e.free.len()).sum::<usize>()
+    }
+
+    /// First coordinate of effect `index`.
+    pub fn start(&self, index: usize) -> usize {
+        self.declared.len() + self.effects[..index].iter().map(|e| e.free.len()).sum::<usize>()
+    }
+
+    fn free(&self) -> impl Iterator<Item = &Free> {
+        self.effects.iter().flat_map(|e| &e.free)
+    }
+
+    /// `[[effects]]` tables at the coordinates `x`: tolerances first.
+    pub fn tables(&self, x: &[f64]) -> Vec<Table> {
+        let (z, mut own) = x.split_at(self.declared.len());
+        let mut tables = self.declared.tables(z);
+        for effect in &self.effects {
+            let (these, others) = own.split_at(effect.free.len());
+            own = others;
+            tables.push(effect.at(these));
+        }
+        tables
+    }
+
+    /// Tables of the effects alone.
+    pub fn effect_table(&self, x: &[f64], index: usize) -> Table {
+        let start = self.start(index);
+        self.effects[index].at(&x[start..start + self.effects[index].free.len()])
+    }
+
+    /// Mean and standard deviation of the prior of each coordinate.
+    pub fn prior(&self) -> Vec<[f64; 2]> {
+        let effects = self.free().map(prior_of);
+        (0..self.declared.len()).map(|_| [0.0, 1.0]).chain(effects).collect()
+    }
+
+    /// Smallest and largest value of each coordinate.
+    pub fn bounds(&self) -> Vec<[f64; 2]> {
+        let effects = self.effects.iter().flat_map(Instance::bounds);
+        (0..self.declared.len()).map(|_| [-FARTHEST, FARTHEST]).chain(effects).collect()
+    }
+
+    /// Whether coordinate `i` changes how the column is shaken.
+    pub fn is_replayed(&self, i: usize) -> bool {
+        if i < self.declared.len() {
+            return self.declared.is_replayed(i);
+        }
+        let at = (0..self.effects.len()).rposition(|e| self.start(e) <= i).unwrap_or(0);
+        is_replayed(&self.effects[at], &self.declared.input)
+    }
+
+    /// Step of a finite difference in coordinate `i` at `x`, away from the nearer bound.
+    pub fn step(&self, x: &[f64], i: usize) -> f64 {
+        let [_, deviation] = self.prior()[i];
+        let [low, high] = self.bounds()[i];
+        let size = STEPS[usize::from(!self.is_replayed(i))] * deviation;
+        let toward = if high - x[i] >= x[i] - low { 1.0 } else { -1.0 };
+        toward * size.min(0.5 * (high - low))
+    }
+}
+
+/// Mean and standard deviation of the prior of a free parameter's coordinate.
+pub fn prior_of(free: &Free) -> [f64; 2] {
+    match free.zero {
+        Some(zero) => [free.parameter.coordinate(zero), WIDE * free.size],
+        None => [free.parameter.coordinate(free.start), free.size],
+    }
+}
+
+/// Depths between which velocities move together: the layers, or ranges of equal travel time where there are too many.
+fn ranges(array: &Array) -> Vec<f64> {
+    let layers = &array.profile.layers;
+    let travel_s: f64 = layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
+    let (mut depth_m, mut passed_s) = (0.0, 0.0);
+    let mut cuts = vec![0.0];
+    for (i, layer) in layers.iter().enumerate() {
+        depth_m += layer.thickness_m;
+        passed_s += layer.thickness_m / layer.vs_m_s;
+        let is_due = passed_s >= travel_s * cuts.len() as f64 / MAX_RANGES as f64;
+        if layers.len() <= MAX_RANGES || is_due || i + 1 == layers.len() {
+            cuts.push(depth_m);
+        }
+    }
+    cuts
+}
+
+/// Depth modes of ln Vs: between every two sensors polynomials of the range's place in order, of as low a degree as the array
+/// resolves, with the prior of independent layers and a common factor carried over.
+///
+/// ```text
+/// ln f = B a,   K = σ² I + σ_c² 1 1ᵀ,   cov(a) = (Bᵀ K⁻¹ B)⁻¹ = L Lᵀ,   modes = B L                 (1)
+/// ```
+///
+/// Check: `modes_carry_the_prior_of_layers`.
+fn modes(array: &Array, cuts_m: &[f64], vs_ln: f64) -> Vec<Vec<f64>> {
+    let n = cuts_m.len() - 1;
+    let middles: Vec<f64> = cuts_m.windows(2).map(|p| 0.5 * (p[0] + p[1])).collect();
+    let sensors = array.cuts_m();
+    let interval = |z: f64| sensors.windows(2).position(|p| z < p[1]).unwrap_or(sensors.len() - 2);
+    let n_interval = sensors.len() - 1;
+    let most = (MODES[0] / n_interval.max(1)).max(MODES[1]);
+    let mut columns: Vec<Vec<f64>> = Vec::new();
+    for k in 0..n_interval {
+        let own: Vec<usize> = (0..n).filter(|i| interval(middles[*i]) == k).collect();
+        let m = own.len();
+        for degree in 0..m.min(most) {
+            let mut column = vec![0.0; n];
+            // Discrete cosines are orthogonal over the ranges of an interval.
+            let at = |j: usize| (std::f64::consts::PI * degree as f64 * (j as f64 + 0.5) / m as f64).cos();
+            own.iter().enumerate().for_each(|(j, i)| column[*i] = at(j));
+            columns.push(column);
+        }
+    }
+    if columns.is_empty() || vs_ln <= 0.0 {
+        return vec![Vec::new(); n];
+    }
+    let b = Mat::from_fn(n, columns.len(), |i, j| columns[j][i]);
+    let k =
+        Mat::from_fn(n, n, |i, j| COMMON_VELOCITY_LN * COMMON_VELOCITY_LN + if i == j { vs_ln * vs_ln } else { 0.0 });
+    let (Some(inverse), m) = (super::algebra::inverse(&k), columns.len()) else { return vec![Vec::new(); n] };
+    let precision = b.transpose() * &inverse * &b;
+    // With precision = C Cᵀ, L = C⁻ᵀ.
+    let Ok(factor) = precision.llt(Side::Lower) else { return vec![Vec::new(); n] };
+    let c = factor.L().to_owned();
+    let mut l = Mat::<f64>::zeros(m, m);
+    for column in 0..m {
+        // Solves Cᵀ x = e_column from the end.
+        for i in (0..m).rev() {
+            let rest: f64 = (i + 1..m).map(|j| c[(j, i)] * l[(j, column)]).sum();
+            l[(i, column)] = (f64::from(u8::from(i == column)) - rest) / c[(i, i)];
+        }
+    }
+    let scaled = &b * &l;
+    (0..n).map(|i| (0..m).map(|j| scaled[(i, j)]).collect()).collect()
+}
