@@ -119,7 +119,7 @@ impl<'a> Competition<'a> {
     /// # Errors
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
-        self.from_declared(progress)?;
+        self.around_declared(progress)?;
         for _ in 0..ROUNDS {
             let best = self.best().clone();
             let mut open = vec![best.model.effects.clone()];
@@ -144,7 +144,7 @@ impl<'a> Competition<'a> {
 
     /// Fits the most probable candidates from what is declared: where an effect is large, tolerances that were made to stand in for it
     /// lead away from it.
-    fn from_declared(&mut self, progress: &dyn Progress) -> Result<()> {
+    fn around_declared(&mut self, progress: &dyn Progress) -> Result<()> {
         let declared = self.fits[0].model.declared;
         let plain = self.fitter.unfitted(Model { declared, effects: Vec::new() })?;
         let likelihood = self.fitter.likelihood;
