@@ -53,7 +53,7 @@ mod propagated;
 mod relaxed;
 mod remainder;
 mod repeatable;
-mod responses;
+pub(crate) mod responses;
 mod round;
 mod screen;
 mod search;

@@ -51,6 +51,7 @@ pub struct Scene<'a> {
     pub(super) propagated: Arc<Propagated>,
     /// Weight of the priors of the nuisances.
     pub(super) stiffness: f64,
+    is_dispersive: bool,
 }
 
 /// Responses of the columns of all records.
@@ -118,6 +119,7 @@ impl<'a> Scene<'a> {
             neighbours: None,
             propagated: Arc::default(),
             stiffness: 1.0,
+            is_dispersive: true,
         };
         scene.ground = Arc::new(scene.ground_strains()?);
         Ok(scene)
@@ -138,6 +140,12 @@ impl<'a> Scene<'a> {
             propagated: self.propagated.clone(),
             ..*self
         })
+    }
+
+    /// The same scene with columns without dispersion ([`FastColumn::without_dispersion`]).
+    #[must_use]
+    pub fn without_dispersion(&self) -> Self {
+        Self { is_dispersive: false, ..self.clone() }
     }
 
     /// Tunes the fast column of each record.
@@ -248,6 +256,7 @@ impl<'a> Scene<'a> {
                         let reused = near.and_then(|n| n.find(&profile));
                         let profile = reused.unwrap_or_else(|| Arc::new(profile));
                         let column = FastColumn::new(&profile, self.elements, &self.curves)?;
+                        let column = if self.is_dispersive { column } else { column.without_dispersion() };
                         columns.push((profile, Arc::new(column)));
                         columns.len() - 1
                     }

@@ -1,6 +1,7 @@
 //! From fitted models to an answer: what is named, with intervals, and what remains.
 
 use super::competition::Competition;
+use super::convention::conventions;
 use super::forward::{Forward, Prediction};
 use super::likelihood::Likelihood;
 use super::parameters::{Declared, Model};
@@ -8,6 +9,7 @@ use super::posterior::{Fit, Fitter, Start};
 use crate::diagnosis::{DiagnoseSettings, Estimate, Problem, Replay, Verdict};
 use crate::effects;
 use crate::error::Result;
+use crate::metrics::t_quantile;
 use crate::progress::Progress;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -42,6 +44,16 @@ pub struct Rest {
     pub repeatable_share: f64,
     /// Coherence of each output sensor with the prediction: frequency in Hz, and c.
     pub coherence: BTreeMap<String, Vec<[f64; 2]>>,
+    /// What is the same in all events of each output sensor, as a share of what the column adds to its base: frequency in Hz, real and
+    /// imaginary part.
+    #[serde(rename = "where")]
+    pub place: BTreeMap<String, Vec<[f64; 3]>>,
+    /// How many times less the records say than independent bins would.
+    pub design_effect: f64,
+    /// Estimated levels of the discrepancy.
+    pub levels: [f64; 3],
+    /// Estimated factors on the noise of each sensor, the input sensor first.
+    pub noise: Vec<f64>,
 }
 
 /// A named effect.
@@ -97,13 +109,16 @@ pub fn compete(
     progress: &dyn Progress,
 ) -> Result<Compared> {
     let forward = Forward::new(problem, replay, settings)?;
-    let likelihood = Likelihood::new(&forward);
+    let likelihood = Likelihood::new(&forward, conventions(&forward, settings, &[])?);
     let declared = Declared::new(problem)?;
     let fitter = || Fitter { forward: &forward, likelihood: &likelihood };
     let start = fit_declared(&fitter(), &declared)?;
-    progress.note(&format!("recalibrated: ln evidence {:.1}, {} replays", start.log_evidence, forward.replays()));
+    progress.note(&format!("recalibrated: ln evidence {:.1}, {} replays", start.log_evidence(1.0), forward.replays()));
     // What few elements leave wrong is taken out where it matters.
-    forward.anchor(&start.model.tables(&start.x))?;
+    let tables = start.model.tables(&start.x);
+    forward.anchor(&tables)?;
+    let likelihood = Likelihood::new(&forward, conventions(&forward, settings, &tables)?);
+    let fitter = || Fitter { forward: &forward, likelihood: &likelihood };
     let start = fitter().settled(&start)?;
     let mut competition = Competition::new(fitter(), start, settings.max_effects);
     competition.run(progress)?;
@@ -198,7 +213,7 @@ impl Answer<'_, '_> {
             count += 1.0;
         }
         let [repeatable, event, left] = share.map(|s| s / f64::max(count, 1.0));
-        let noise = self.noise_share(fit);
+        let noise = self.likelihood.noise_share(&fit.prediction, &fit.hyper);
         let tolerance = self.problem.tolerances.model.powi(2);
         let incoherent = (event + left - noise).max(0.0);
         let verdict = if repeatable > tolerance && repeatable > 0.5 * incoherent {
@@ -211,17 +226,23 @@ impl Answer<'_, '_> {
         let outputs = &self.problem.array.outputs;
         let coherence =
             outputs.iter().enumerate().map(|(s, name)| (name.clone(), self.likelihood.coherence(&fit.hyper, s)));
-        Rest { verdict, share: repeatable + incoherent, repeatable_share: repeatable, coherence: coherence.collect() }
-    }
-
-    /// Power of sensor noise over that of the records.
-    fn noise_share(&self, fit: &Fit<'_>) -> f64 {
-        self.likelihood.noise_share(&fit.prediction, &fit.hyper)
+        let discrepancy = self.likelihood.shared_discrepancy(&fit.prediction, &fit.hyper);
+        let levels = fit.hyper.levels;
+        Rest {
+            verdict,
+            share: repeatable + incoherent,
+            repeatable_share: repeatable,
+            coherence: coherence.collect(),
+            place: outputs.iter().cloned().zip(discrepancy).collect(),
+            design_effect: self.competition.design_effect,
+            levels: [levels.wide, levels.narrow, levels.own].map(f64::exp),
+            noise: fit.hyper.ln_noise.iter().map(|n| n.exp()).collect(),
+        }
     }
 
     /// Named effects; an interval is that of the curvature or of leaving one event out, whichever is wider.
     fn found(&self, fit: &Fit<'_>) -> Vec<Named> {
-        let spread = spread(fit);
+        let spread = spread(fit, self.likelihood, self.competition.design_effect);
         let of = |(index, instance): (usize, &effects::Instance)| {
             let start = fit.model.start(index);
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
@@ -243,10 +264,10 @@ impl Answer<'_, '_> {
 }
 
 /// Half widths of 95 % intervals of the coordinates.
-fn spread(fit: &Fit<'_>) -> Vec<f64> {
+fn spread(fit: &Fit<'_>, likelihood: &Likelihood<'_>, design_effect: f64) -> Vec<f64> {
     let n = fit.x.len();
-    let covariance = fit.covariance();
-    let left_out = fit.without_each_event();
+    let covariance = fit.covariance(design_effect);
+    let left_out = fit.without_each_event(likelihood);
     let e = left_out.len() as f64;
     (0..n)
         .map(|i| {
@@ -256,26 +277,10 @@ fn spread(fit: &Fit<'_>) -> Vec<f64> {
             }
             let mean = left_out.iter().map(|x| x[i]).sum::<f64>() / e;
             let square: f64 = left_out.iter().map(|x| (x[i] - mean).powi(2)).sum();
-            let jackknife = ((e - 1.0) / e * square).sqrt() * student_95(left_out.len() - 1);
+            let jackknife = ((e - 1.0) / e * square).sqrt() * t_quantile(0.975, left_out.len() - 1);
             curved.max(jackknife)
         })
         .collect()
-}
-
-/// Two-sided 95 % quantile of Student's t with `n` degrees of freedom.
-///
-/// Source: Hill (1970), doi 10.1145/355598.355600, algorithm 396.
-pub fn student_95(n: usize) -> f64 {
-    const FEW: [f64; 2] = [12.706_205, 4.302_653];
-    if n <= 2 {
-        return FEW[n.max(1) - 1];
-    }
-    let n = n as f64;
-    let z = 1.959_964f64;
-    let (z3, z5, z7) = (z.powi(3), z.powi(5), z.powi(7));
-    z + (z3 + z) / (4.0 * n)
-        + (5.0 * z5 + 16.0 * z3 + 3.0 * z) / (96.0 * n * n)
-        + (3.0 * z7 + 19.0 * z5 + 17.0 * z3 - 15.0 * z) / (384.0 * n.powi(3))
 }
 
 fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {

@@ -5,35 +5,36 @@
 //! with the column itself, and the competition goes on around the best of these, and around it less each of its effects, until that
 //! changes nothing.
 
-use super::algebra::eliminated;
+use super::algebra::{self, Marginal};
 use super::forward::{Forward, Prediction};
-use super::likelihood::{Likelihood, Slope};
+use super::likelihood::Slope;
 use super::parameters::{Model, is_replayed, prior_of};
 use super::posterior::{Fit, Fitter, Start, difference};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
-use faer::linalg::solvers::Solve;
-use faer::{Mat, Side};
+use faer::Mat;
 use std::collections::BTreeMap;
 
 /// Kinds that are fitted around one model, alone and in pairs.
 const KINDS: usize = 4;
 /// ln of the evidence that a candidate may fall short of what is declared by to be fitted.
 const PROMISING: f64 = -3.0;
+/// Share of what the best model has over another that a candidate beside that one must promise to be fitted.
+const HOPEFUL: f64 = 0.3;
 /// Candidates whose directions are taken anew beside a model, and places of one kind among them.
 const SHORTLIST: usize = 14;
 const PLACES: usize = 2;
 /// Pairs that get hyperparameters of their own.
 const PAIRS: usize = 8;
 /// Farthest strength along a direction, in that of its node.
-const FARTHEST: f64 = 2.0;
+const FARTHEST: f64 = 3.0;
 /// Shares of the way to where the linear problem puts a set at which its fit may start.
 const SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
 /// Most rounds of the competition.
 const ROUNDS: usize = 8;
 /// Sizes of a strength at which a candidate is tried, in typical sizes: by replay, and by a sensor's operator.
-const NODES: [&[f64]; 2] = [&[1.0], &[0.25, 1.0, 2.0]];
+const NODES: [&[f64]; 2] = [&[0.5], &[0.25, 1.0, 2.0]];
 /// The same around what is declared, where no direction is extrapolated.
 const FAR_NODES: &[f64] = &[0.5, 1.0, 1.7];
 /// Prior probability of one effect more.
@@ -72,11 +73,11 @@ pub struct Competition<'a> {
     /// ln of the prior of an effect at a place, by kind.
     ln_place: BTreeMap<&'static str, f64>,
     max_effects: usize,
+    /// How many times less the records say than the likelihood makes of them, [`Fit::design_effect`].
+    pub design_effect: f64,
     /// Everything that was fitted, what is declared first.
     pub fits: Vec<Fit<'a>>,
     expanded: Vec<Vec<Instance>>,
-    /// Directions of the first model that was expanded.
-    directions: Vec<(Node, Slope)>,
 }
 
 impl<'a> Competition<'a> {
@@ -92,16 +93,16 @@ impl<'a> Competition<'a> {
             instances,
             ln_place,
             max_effects,
+            design_effect: 1.0,
             fits: vec![declared],
             expanded: Vec::new(),
-            directions: Vec::new(),
         }
     }
 
     /// ln of the posterior of a fitted model up to a constant.
     pub fn log_posterior(&self, fit: &Fit<'_>) -> f64 {
         let places: f64 = fit.model.effects.iter().map(|e| self.ln_place.get(e.kind).copied().unwrap_or(-10.0)).sum();
-        fit.log_evidence + places + fit.model.effects.len() as f64 * ONE_MORE.ln()
+        fit.log_evidence(self.design_effect) + places + fit.model.effects.len() as f64 * ONE_MORE.ln()
     }
 
     /// The most probable model.
@@ -119,8 +120,10 @@ impl<'a> Competition<'a> {
     /// # Errors
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
+        self.design_effect = self.fits[0].design_effect(self.fitter.likelihood);
         self.around_declared(progress)?;
         for _ in 0..ROUNDS {
+            self.design_effect = self.best().design_effect(self.fitter.likelihood);
             let best = self.best().clone();
             let mut open = vec![best.model.effects.clone()];
             for left_out in 0..best.model.effects.len() {
@@ -187,7 +190,9 @@ impl<'a> Competition<'a> {
         let Some(index) = self.known(&effects) else { return Ok(()) };
         self.expanded.push(effects.clone());
         let base = self.fits[index].clone();
-        let proposals = self.proposals(&base)?;
+        let mut proposals = self.proposals(&base)?;
+        let known = self.log_posterior(self.best()) - self.log_posterior(&base);
+        proposals.retain(|p| p.log_evidence >= HOPEFUL * known);
         self.fit_chosen(&base, proposals, progress);
         Ok(())
     }
@@ -204,11 +209,20 @@ impl<'a> Competition<'a> {
             let model = Model { declared: base.model.declared, effects: all };
             let x = self.started(base, &model, &set);
             let Ok(found) = self.fitter.fit(Start { model, x, hyper: base.hyper.clone(), slopes }) else { continue };
-            let named: Vec<String> = found.model.effects.iter().map(|e| format!("{} {}", e.kind, e.place())).collect();
+            let effects = 0..found.model.effects.len();
+            let named: Vec<String> =
+                effects.map(|i| found.model.effect_table(&found.x, i).to_string().replace('\n', ", ")).collect();
             let gained = self.log_posterior(&found) - self.log_posterior(&self.fits[0]);
-            progress.note(&format!("{}: ln odds {gained:+.1} against nothing missing", named.join(" + ")));
+            let levels = found.hyper.levels;
+            let levels = [levels.wide, levels.narrow, levels.own].map(|l| (l.exp() * 1e4).round() / 1e4);
+            progress.note(&format!(
+                "{}: ln odds {gained:+.1} against nothing missing; {levels:?}, design effect {:.2}; {} replays",
+                named.join(" + "),
+                found.design_effect(self.fitter.likelihood),
+                self.fitter.forward.replays()
+            ));
             match known {
-                Some(i) if self.fits[i].log_evidence >= found.log_evidence => {}
+                Some(i) if self.fits[i].cost <= found.cost => {}
                 Some(i) => self.fits[i] = found,
                 None => self.fits.push(found),
             }
@@ -259,6 +273,11 @@ impl<'a> Competition<'a> {
                         if (at - zero[i]).abs() < 1e-3 * size * free.size {
                             continue;
                         }
+                        // One direction serves both signs.
+                        let is_known = |n: &Node| n.instance == *instance && (n.at[i] - zero[i]) * (at - zero[i]) < 0.0;
+                        if sizes.len() == 1 && nodes.iter().any(is_known) {
+                            continue;
+                        }
                         let mut all = zero.clone();
                         all[i] = at;
                         let distance = (at - zero[i]) / prior_of(free)[1];
@@ -272,11 +291,9 @@ impl<'a> Competition<'a> {
 
     /// All candidates, most probable first, each at its best node.
     ///
-    /// Directions known from another model serve to rank; those that rank high are taken anew beside this one.
-    fn proposals(&mut self, base: &Fit<'a>) -> Result<Vec<Proposal>> {
+    fn proposals(&self, base: &Fit<'a>) -> Result<Vec<Proposal>> {
         let mut proposals = Vec::new();
         let mut nodes = Vec::new();
-        let is_first = self.directions.is_empty();
         for node in self.nodes(base, NODES) {
             if node.at.is_empty() || Forward::is_interference(&node.instance) {
                 let mut all = base.model.tables(&base.x);
@@ -286,35 +303,17 @@ impl<'a> Competition<'a> {
                 }
                 continue;
             }
-            let known = self.directions.iter().find(|(n, _)| n.instance == node.instance && n.at == node.at);
-            match known.map(|(_, slope)| slope.clone()) {
-                Some(slope) if is_replayed(&node.instance, &self.fitter.forward.problem.array.input) => {
-                    nodes.push((node, slope));
-                }
-                _ => nodes.extend(self.direction(base, node)),
-            }
+            nodes.extend(self.direction(base, node));
         }
         let (singles, _) = self.linear(base, &nodes);
         let promising = shortlist(&nodes, &singles);
-        let mut anew = Vec::new();
-        let mut others = Vec::new();
-        for (i, (node, slope)) in nodes.into_iter().enumerate() {
-            if !promising.contains(&i) {
-                others.push((node, slope));
-            } else if is_first {
-                anew.push((node, slope));
-            } else {
-                anew.extend(self.direction(base, node));
-            }
-        }
+        let anew: Vec<(Node, Slope)> =
+            nodes.into_iter().enumerate().filter(|(i, _)| promising.contains(i)).map(|(_, node)| node).collect();
         let (singles, pairs) = self.linear(base, &anew);
         let alone = singles.iter().filter_map(|s| self.tuned(base, &[&anew[s.index]]));
         proposals.extend(alone);
         if base.model.effects.len() + 2 <= self.max_effects {
             proposals.extend(pairs.iter().filter_map(|[i, j]| self.tuned(base, &[&anew[*i], &anew[*j]])));
-        }
-        if is_first {
-            self.directions = anew.into_iter().chain(others).collect();
         }
         proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
         Ok(proposals)
@@ -340,15 +339,16 @@ impl<'a> Competition<'a> {
         let mut z: Vec<f64> = base.x.iter().zip(&prior).map(|(x, [mean, _])| x - mean).collect();
         z.resize(n + set.len(), 0.0);
         let mut prediction = (*base.prediction).clone();
-        let mut hyper = Likelihood::sharpened(&base.hyper);
+        let mut hyper = likelihood.sharpened(&base.hyper);
         let (mut cost, mut occam) = (0.0, 0.0);
         for _ in 0..2 {
             let reduced = likelihood.at(&prediction, &slopes, &hyper)?;
-            let mut step = solved(&reduced.g, &z, &precision)?;
-            for (i, (node, _)) in set.iter().enumerate() {
+            let held = |i: usize, step: f64| {
+                let Some((node, _)) = i.checked_sub(n).and_then(|i| set.get(i)) else { return step };
                 let least = if node.is_one_sided { 0.0 } else { -FARTHEST };
-                step[n + i] = (z[n + i] + step[n + i]).clamp(least, FARTHEST) - z[n + i];
-            }
+                (z[i] + step).clamp(least, FARTHEST) - z[i]
+            };
+            let step = solved(&reduced.g, &z, &precision, held)?;
             for (slope, dx) in slopes.iter().zip(&step) {
                 for (p, change) in prediction.iter_mut().zip(slope.iter()) {
                     for (y, d) in p.outputs.iter_mut().flatten().zip(change.iter().flatten()) {
@@ -370,7 +370,7 @@ impl<'a> Competition<'a> {
             (node.instance.clone(), start)
         };
         let beside = (0..n).map(|i| prior[i][0] + z[i] - base.x[i]).collect();
-        let log_evidence = base.cost - cost + occam + place;
+        let log_evidence = (base.cost - cost) / self.design_effect + occam + place;
         Some(Proposal { parts: set.iter().enumerate().map(part).collect(), beside, log_evidence })
     }
 
@@ -380,7 +380,7 @@ impl<'a> Competition<'a> {
         let hyper = likelihood.tuned(there, &base.hyper, 1);
         let gained = likelihood.nll(&base.prediction, &base.hyper) - likelihood.nll(there, &hyper);
         let hidden = if node.at.is_empty() { 0.0 } else { self.fitter.forward.records.len() as f64 };
-        let log_evidence = gained - hidden + self.prior_of(&node.instance);
+        let log_evidence = (gained - hidden) / self.design_effect + self.prior_of(&node.instance);
         Some(Proposal { parts: vec![(node.instance, node.at)], beside: vec![0.0; base.x.len()], log_evidence })
     }
 
@@ -391,14 +391,17 @@ impl<'a> Competition<'a> {
     /// The best node of each candidate by the linear problem around `base`, and the best pairs of these.
     fn linear(&self, base: &Fit<'a>, nodes: &[(Node, Slope)]) -> (Vec<Linear>, Vec<[usize; 2]>) {
         let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(nodes.iter().map(|(_, s)| s.clone())).collect();
-        let Some(reduced) = self.fitter.likelihood.at(&base.prediction, &slopes, &Likelihood::sharpened(&base.hyper))
+        let Some(reduced) =
+            self.fitter.likelihood.at(&base.prediction, &slopes, &self.fitter.likelihood.sharpened(&base.hyper))
         else {
             return (Vec::new(), Vec::new());
         };
         let prior = base.model.prior();
         let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
         // The base is where its posterior is highest: beside it, only what the prior holds is added to the information.
-        let Some((left, _)) = centred(&reduced.g, base, &precision) else { return (Vec::new(), Vec::new()) };
+        let Some(Marginal { left, .. }) = centred(&reduced.g, base, &precision) else {
+            return (Vec::new(), Vec::new());
+        };
         let last = left.nrows() - 1;
         let mut best: Vec<Linear> = Vec::new();
         let held = |node: &Node, share: f64| {
@@ -409,7 +412,8 @@ impl<'a> Competition<'a> {
             let (a, b) = (left[(index, index)], left[(index, last)]);
             let total = a + node.distance * node.distance;
             let share = held(node, b / total);
-            let gain = b * share - 0.5 * total * share * share - 0.5 * (total / (node.distance * node.distance)).ln();
+            let gain = (b * share - 0.5 * total * share * share) / self.design_effect
+                - 0.5 * (total / (node.distance * node.distance)).ln();
             let found = Linear { index, log_evidence: gain + self.prior_of(&node.instance) };
             match best.iter_mut().find(|p| nodes[p.index].0.instance == node.instance) {
                 Some(known) if known.log_evidence >= found.log_evidence => {}
@@ -433,7 +437,7 @@ impl<'a> Competition<'a> {
                 let linear = e * shares[0] + f * shares[1];
                 let square = a * shares[0] * shares[0] + d * shares[1] * shares[1] + 2.0 * c * shares[0] * shares[1];
                 let occam = 0.5 * (determinant / (p.distance * q.distance).powi(2)).ln();
-                pairs.push((pair, linear - 0.5 * square - occam));
+                pairs.push((pair, (linear - 0.5 * square) / self.design_effect - occam));
             }
         }
         pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -451,7 +455,7 @@ impl<'a> Competition<'a> {
 }
 
 /// Normal equations of what is beside the coordinates of `base`, these eliminated.
-fn centred(g: &Mat<f64>, base: &Fit<'_>, precision: &[f64]) -> Option<(Mat<f64>, f64)> {
+fn centred(g: &Mat<f64>, base: &Fit<'_>, precision: &[f64]) -> Option<Marginal> {
     let n = base.x.len();
     let last = g.nrows() - 1;
     let mut own = g.clone();
@@ -460,7 +464,7 @@ fn centred(g: &Mat<f64>, base: &Fit<'_>, precision: &[f64]) -> Option<(Mat<f64>,
         own[(i, last)] -= pull;
         own[(last, i)] -= pull;
     }
-    eliminated(&own, &(0..n).collect::<Vec<_>>(), precision)
+    algebra::without(&own, &(0..n).collect::<Vec<_>>(), precision)
 }
 
 /// Nodes of the candidates worth another look: the best places of the best kinds.
@@ -478,13 +482,31 @@ fn shortlist(nodes: &[(Node, Slope)], ranked: &[Linear]) -> Vec<usize> {
     (0..nodes.len()).filter(|i| found.contains(&&nodes[*i].0.instance)).collect()
 }
 
-/// The step of coordinates `z` from the means of their prior that normal equations ask for.
-fn solved(g: &Mat<f64>, z: &[f64], precision: &[f64]) -> Option<Vec<f64>> {
+/// The step of coordinates `z` from the means of their prior that normal equations ask for, where `held` gives how far a coordinate may
+/// follow it; the others make the best of what is held.
+fn solved(g: &Mat<f64>, z: &[f64], precision: &[f64], held: impl Fn(usize, f64) -> f64) -> Option<Vec<f64>> {
     let n = z.len();
-    let a = Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { precision[i] } else { 0.0 });
-    let side = Mat::from_fn(n, 1, |i, _| g[(i, n)] - z[i] * precision[i]);
-    let step = a.llt(Side::Lower).ok()?.solve(&side);
-    Some((0..n).map(|i| step[(i, 0)]).collect())
+    let mut step = vec![0.0; n];
+    let mut free: Vec<usize> = (0..n).collect();
+    loop {
+        let left: Vec<f64> = free
+            .iter()
+            .map(|i| {
+                let fixed = (0..n).filter(|j| !free.contains(j)).map(|j| g[(*i, j)] * step[j]).sum::<f64>();
+                g[(*i, n)] - z[*i] * precision[*i] - fixed
+            })
+            .collect();
+        let m = free.len();
+        let a = Mat::from_fn(m, m, |i, j| g[(free[i], free[j])] + if i == j { precision[free[i]] } else { 0.0 });
+        let found = algebra::solved(&a, &left)?;
+        free.iter().zip(&found).for_each(|(i, dx)| step[*i] = held(*i, *dx));
+        let is_followed: Vec<bool> = free.iter().zip(&found).map(|(i, dx)| (step[*i] - dx).abs() < 1e-12).collect();
+        if is_followed.iter().all(|followed| *followed) {
+            return Some(step);
+        }
+        let mut followed = is_followed.into_iter();
+        free.retain(|_| followed.next().unwrap_or(true));
+    }
 }
 
 /// Sets of candidates to be fitted: the best place of each set of kinds.

@@ -1,10 +1,11 @@
 //! The likelihood of records given a prediction: a field that is partly coherent, noisy sensors, and a column that is never exact.
 
-use super::algebra::eliminated;
+use super::covariance::Covariance;
+use super::discrepancy::{Discrepancy, Levels, Normal, Shared, hat};
 use super::forward::{At, Bins, Forward, Predicted, Prediction};
 use crate::numerics::smooth::running_mean;
 use faer::linalg::solvers::Solve;
-use faer::{Mat, Side};
+use faer::{Mat, MatMut, Side};
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::sync::Arc;
@@ -15,16 +16,10 @@ type C64 = Complex<f64>;
 const SMOOTH_HZ: f64 = 0.15;
 /// Knots of the incoherent share, between the ends of the band at equal ratios.
 const SHARE_KNOTS: usize = 7;
-/// Knots of the discrepancy to an octave.
-const KNOTS_AN_OCTAVE: f64 = 2.5;
 /// Prior of the incoherent share 1 − c²: median, and standard deviation of its ln.
 const SHARE: [f64; 2] = [1e-3, 2.0];
 /// Largest incoherent share: something follows the column.
 const LARGEST_SHARE: f64 = 0.995;
-/// Prior of the discrepancy, relative to what the column adds to its base: median, and standard deviation of its ln.
-const DISCREPANCY: [f64; 2] = [0.02, 0.7];
-/// Least level of the discrepancy: mesh, time step and law leave no column better than that.
-const LEAST_DISCREPANCY: f64 = 0.01;
 /// Standard deviation of the ln of a noise level that records told before their event, and of one that is only bounded.
 const NOISE_LN: [f64; 2] = [0.15, 1.0];
 /// Noise of a sensor where nothing tells it, as a share of the RMS of its record within the band.
@@ -33,9 +28,6 @@ const USUAL_NOISE: f64 = 0.01;
 const FLOOR: f64 = 1e-12;
 /// Largest excess of one bin's power over what is expected that counts in slopes of the variance: one in 400 bins has more.
 const OUTLYING: f64 = 5.0;
-/// Most values of one coordinate when levels of the discrepancy are searched, and the largest step in ln.
-const LEVEL_STEPS: [f64; 4] = [0.9, 0.4, 0.2, 0.1];
-
 /// What the likelihood knows beside the prediction.
 #[derive(Debug, Clone)]
 pub struct Hyper {
@@ -43,20 +35,12 @@ pub struct Hyper {
     pub ln_share: Vec<Vec<f64>>,
     /// ln of the factor on the noise of each sensor, the input sensor first.
     pub ln_noise: Vec<f64>,
-    /// ln of the level of the discrepancy that is the same in all events, and of that which is not.
-    pub ln_discrepancy: [f64; 2],
+    /// Levels of the discrepancy.
+    pub levels: Levels,
 }
 
 /// How a prediction changes with one coordinate, by record.
 pub type Slope = Arc<Vec<Bins>>;
-
-/// Normal equations of one record: coordinates, then the discrepancy (real and imaginary parts, sensor by sensor, knot by knot), then
-/// the residual.
-struct Normal {
-    g: Mat<f64>,
-    /// −ln of the likelihood where nothing is moved.
-    nll: f64,
-}
 
 /// Normal equations of all records, the discrepancy marginalised.
 pub struct Reduced {
@@ -64,33 +48,29 @@ pub struct Reduced {
     pub g: Mat<f64>,
     /// −ln of the marginal likelihood where nothing is moved, priors of hyperparameters included.
     pub nll: f64,
-    /// The same for each event without the part that events share; for leaving one out.
-    pub events: Vec<Mat<f64>>,
 }
 
 /// Records of a problem with what their likelihood needs.
 ///
 /// ```text
-/// Y | U ~ CN( C (Ŷ + Φ (a + b_e)),  Σ ),   Σ = (I − C²) ⟨|Ŷ|²⟩ + S_out + H S_in Hᴴ                  (1)
+/// Y | U ~ CN( C (Ŷ + δ (Ŷ − U)),  Σ ),   Σ = (I − C²) ⟨|Ŷ|²⟩ + S_out + H S_in Hᴴ                   (1)
 /// −ln L = Σ_bins rᴴ Σ⁻¹ r + ln det Σ                                                              (2)
-/// Φ_sk = φ_k(f) (Ŷ_s − U),   a ~ N(0, σ_a²),   b_e ~ N(0, σ_b²)                                    (3)
 /// ```
 ///
-/// Ŷ is the prediction, C the coherence of each sensor by a few knots over ln f, the same in all events. Φ(a + b) is what the column
-/// itself has wrong: a smooth complex share of what it **adds to its base motion**, so that it vanishes below the first resonance, where
-/// every column passes the motion as it is; a is the same in all events, b_e belongs to one. Both are marginalised, their levels
-/// estimated. The incoherent part goes with the power that is predicted, so a prediction cannot gain by shrinking. H is the ratio of
-/// predicted spectra to the base's, smoothed.
+/// Ŷ is the prediction, C the coherence of each sensor by a few knots over ln f, the same in all events. δ is what the column itself
+/// has wrong ([`Discrepancy`]): a complex share of what it **adds to its base motion**, so that it vanishes below the first resonance,
+/// where every column passes the motion as it is. It is marginalised, its levels estimated. The incoherent part goes with the power
+/// that is predicted, so a prediction cannot gain by shrinking. H is the ratio of predicted spectra to the base's, smoothed.
 ///
-/// Limits: what is incoherent is independent between sensors and bins; components share nothing but the coordinates; in derivatives
-/// H stands still.
+/// Limits: what is incoherent is independent between sensors and bins; in derivatives H and the information on δ stand still.
 /// Check:  `slopes_are_those_of_the_likelihood`, `damping_of_a_partly_coherent_field_is_found`.
-/// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ; Kennedy and O'Hagan (2001), doi
-/// 10.1111/1467-9868.00294, for the discrepancy.
+/// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ.
 pub struct Likelihood<'a> {
     forward: &'a Forward<'a>,
     band_hz: [f64; 2],
-    n_knot: usize,
+    discrepancy: Discrepancy,
+    /// What other conventions of the column add, see [`Discrepancy`].
+    conventions: Vec<Slope>,
     /// Expected |noise|² of each bin before its factor, `[record][sensor][bin]`, the input sensor first.
     noise: Vec<Vec<Vec<f64>>>,
     /// Prior deviation of the ln of each sensor's factor on it.
@@ -106,44 +86,6 @@ struct Prepared {
     half: usize,
 }
 
-/// Σ of one bin: diagonal plus one rank.
-struct Covariance {
-    /// Diagonal.
-    d: Vec<f64>,
-    /// H √S_in / √d.
-    b: Vec<C64>,
-    /// |b|².
-    g: f64,
-}
-
-impl Covariance {
-    /// Σ^{−1/2} x in place.
-    fn whiten(&self, x: &mut [C64]) {
-        x.iter_mut().zip(&self.d).for_each(|(x, d)| *x /= d.sqrt());
-        let dot: C64 = self.b.iter().zip(&*x).map(|(b, x)| b.conj() * x).sum();
-        let root = (1.0 + self.g).sqrt();
-        let w = dot / (root * (1.0 + root));
-        x.iter_mut().zip(&self.b).for_each(|(x, b)| *x -= b * w);
-    }
-
-    /// Σ⁻¹ x.
-    fn solve(&self, x: &[C64]) -> Vec<C64> {
-        let scaled: Vec<C64> = x.iter().zip(&self.d).map(|(x, d)| x / d.sqrt()).collect();
-        let dot: C64 = self.b.iter().zip(&scaled).map(|(b, x)| b.conj() * x).sum();
-        let w = dot / (1.0 + self.g);
-        scaled.iter().zip(&self.b).zip(&self.d).map(|((x, b), d)| (x - b * w) / d.sqrt()).collect()
-    }
-
-    /// Diagonal of Σ⁻¹.
-    fn inverse_diagonal(&self, s: usize) -> f64 {
-        (1.0 - self.b[s].norm_sqr() / (1.0 + self.g)) / self.d[s]
-    }
-
-    fn ln_determinant(&self) -> f64 {
-        self.d.iter().map(|d| d.ln()).sum::<f64>() + (1.0 + self.g).ln()
-    }
-}
-
 /// Noise of a channel that no stretch of its record shows: white, a share of the RMS within the band, and no more than the least that
 /// the band itself holds; never read off a band that processing may have emptied.
 fn guessed(bins: &[C64]) -> Vec<f64> {
@@ -153,24 +95,71 @@ fn guessed(bins: &[C64]) -> Vec<f64> {
     vec![(USUAL_NOISE * USUAL_NOISE * mean).min(least).max(f64::MIN_POSITIVE); bins.len()]
 }
 
-/// Hat functions over ln f with `n` knots: the knot below and the share of the one above.
-fn hat(frequency_hz: f64, [low, high]: [f64; 2], n: usize) -> (usize, f64) {
-    if n < 2 {
-        return (0, 0.0);
-    }
-    let x = (frequency_hz / low).ln() / (high / low).ln() * (n - 1) as f64;
-    let x = x.clamp(0.0, (n - 1) as f64);
-    let i = (x.floor() as usize).min(n - 2);
-    (i, x - i as f64)
-}
-
 fn at_knots(values: &[f64], (i, w): (usize, f64)) -> f64 {
     values[i] * (1.0 - w) + values.get(i + 1).copied().unwrap_or_default() * w
 }
 
+/// One bin of one record, and what moves it.
+struct Bin<'b> {
+    predicted: &'b Predicted,
+    slopes: &'b [&'b Slope],
+    /// Slopes of the smoothed power, `[coordinate][sensor][bin]`.
+    powers: &'b [Vec<Vec<f64>>],
+    index: usize,
+    k: usize,
+    /// Incoherent share of each sensor.
+    share: &'b [f64],
+}
+
+impl Bin<'_> {
+    /// Fills the rows of the bin: the two knots around it, `weight` that of the upper one, coordinates, residual. Gives its −ln L.
+    fn rows(&self, sigma: &Covariance, weight: f64, mut rows: MatMut<'_, f64>) -> f64 {
+        let Self { predicted, k, share, .. } = *self;
+        let (n, n_x) = (share.len(), self.slopes.len());
+        let (hats, last) = ([1.0 - weight, weight], 4 * n + n_x);
+        let c: Vec<f64> = share.iter().map(|v| (1.0 - v).sqrt()).collect();
+        let residual: Vec<C64> = (0..n).map(|s| predicted.measured[s][k] - c[s] * predicted.outputs[s][k]).collect();
+        let solved = sigma.solve(&residual);
+        let mut moved = vec![C64::default(); n];
+        let put = |rows: &mut MatMut<'_, f64>, column: usize, values: &mut [C64]| {
+            sigma.whiten(values);
+            for (s, v) in values.iter().enumerate() {
+                rows[(2 * s, column)] = v.re * std::f64::consts::SQRT_2;
+                rows[(2 * s + 1, column)] = v.im * std::f64::consts::SQRT_2;
+            }
+        };
+        for (i, slope) in self.slopes.iter().enumerate() {
+            (0..n).for_each(|s| moved[s] = slope[self.index][s][k] * c[s]);
+            put(&mut rows, 4 * n + i, &mut moved);
+        }
+        for s in 0..n {
+            let added = predicted.outputs[s][k] - predicted.base[k];
+            let own = predicted.outputs[s][k].conj() * added;
+            let inverse = sigma.inverse(s, s).re;
+            for (j, w) in hats.into_iter().enumerate() {
+                let column = 4 * s + 2 * j;
+                for (part, unit) in [C64::new(1.0, 0.0), C64::new(0.0, 1.0)].into_iter().enumerate() {
+                    moved.fill(C64::default());
+                    moved[s] = added * (c[s] * w) * unit;
+                    put(&mut rows, column + part, &mut moved);
+                }
+                rows[(2 * n + s, column)] = share[s] * inverse * 2.0 * w * own.re;
+                rows[(2 * n + s, column + 1)] = -share[s] * inverse * 2.0 * w * own.im;
+            }
+            for (i, power) in self.powers.iter().enumerate() {
+                rows[(2 * n + s, 4 * n + i)] = share[s] * power[s][k] * inverse;
+            }
+            rows[(2 * n + s, last)] = (solved[s].norm_sqr() / inverse - 1.0).min(OUTLYING);
+        }
+        moved.copy_from_slice(&residual);
+        put(&mut rows, last, &mut moved);
+        residual.iter().zip(&solved).map(|(r, w)| (r.conj() * w).re).sum::<f64>() + sigma.ln_determinant()
+    }
+}
+
 impl<'a> Likelihood<'a> {
     /// Prepares the records of `forward`.
-    pub fn new(forward: &'a Forward<'a>) -> Self {
+    pub fn new(forward: &'a Forward<'a>, conventions: Vec<Slope>) -> Self {
         let is_noise_known = forward.problem.events.iter().all(|e| e.noise.iter().all(|n| n.is_measured));
         let ends =
             |g: &crate::diagnosis::spectra::Group| [g.frequencies_hz[0], *g.frequencies_hz.last().unwrap_or(&1.0)];
@@ -179,7 +168,7 @@ impl<'a> Likelihood<'a> {
             .iter()
             .map(ends)
             .fold([f64::INFINITY, 0.0f64], |[a, b], [low, high]| [a.min(low), b.max(high)]);
-        let octaves = (band_hz[1] / band_hz[0]).log2();
+        let least = Levels::least(forward.problem.tolerances.model);
         let noise = |at: &At| {
             let record = &forward.groups[at.group].records[at.record];
             let known = forward.problem.events[record.event].noise.iter();
@@ -187,7 +176,8 @@ impl<'a> Likelihood<'a> {
             pairs.map(|((n, own), bins)| if n.is_measured { own.clone() } else { guessed(bins) }).collect()
         };
         Self {
-            n_knot: (KNOTS_AN_OCTAVE * octaves).ceil() as usize + 1,
+            discrepancy: Discrepancy::new(band_hz, forward.problem.array.outputs.len(), conventions.len(), least),
+            conventions,
             noise: forward.records.iter().map(noise).collect(),
             noise_ln: NOISE_LN[usize::from(!is_noise_known)],
             forward,
@@ -199,16 +189,12 @@ impl<'a> Likelihood<'a> {
         self.forward.problem.array.outputs.len()
     }
 
-    fn n_discrepancy(&self) -> usize {
-        2 * self.n_sensor() * self.n_knot
-    }
-
     /// Hyperparameters at the medians of their priors.
     pub fn start(&self) -> Hyper {
         Hyper {
             ln_share: vec![vec![SHARE[0].ln(); SHARE_KNOTS]; self.n_sensor()],
             ln_noise: vec![0.0; self.n_sensor() + 1],
-            ln_discrepancy: [DISCREPANCY[0].ln(); 2],
+            levels: self.discrepancy.usual(),
         }
     }
 
@@ -223,8 +209,7 @@ impl<'a> Likelihood<'a> {
         let square = |x: f64, median: f64, sd: f64| 0.5 * ((x - median) / sd).powi(2);
         let shares = hyper.ln_share.iter().flatten().map(|x| square(*x, SHARE[0].ln(), SHARE[1])).sum::<f64>();
         let noise = hyper.ln_noise.iter().map(|x| square(*x, 0.0, self.noise_ln)).sum::<f64>();
-        let levels = hyper.ln_discrepancy.iter().map(|x| square(*x, DISCREPANCY[0].ln(), DISCREPANCY[1])).sum::<f64>();
-        shares + noise + levels
+        shares + noise + self.discrepancy.cost(hyper.levels)
     }
 
     fn half(&self, at: At) -> usize {
@@ -257,9 +242,7 @@ impl<'a> Likelihood<'a> {
         let n = self.n_sensor();
         let of = |s: usize| share[s] * record.power[s][k] + noise[s + 1][k] * hyper.ln_noise[s + 1].exp();
         let d: Vec<f64> = (0..n).map(|s| of(s).max(f64::MIN_POSITIVE)).collect();
-        let b: Vec<C64> = (0..n).map(|s| record.gain[s][k] * (s_in / d[s]).sqrt()).collect();
-        let g = b.iter().map(C64::norm_sqr).sum();
-        Covariance { d, b, g }
+        Covariance::new(d, record.gain.iter().map(|h| h[k]), s_in)
     }
 
     fn shares(&self, hyper: &Hyper, frequency_hz: f64) -> Vec<f64> {
@@ -267,9 +250,10 @@ impl<'a> Likelihood<'a> {
         hyper.ln_share.iter().map(|v| at_knots(v, at).exp().min(LARGEST_SHARE)).collect()
     }
 
-    /// Normal equations of record `index`; `measured` in place of what belongs to the prediction.
+    /// Normal equations of record `index`, H of (1) as it is at the prediction `beside`: the discrepancy, then coordinates.
     ///
-    /// Rows are Σ^{−1/2} of what moves the mean, real and imaginary parts, and one more for what moves the variance of each bin.
+    /// Rows are Σ^{−1/2} of what moves the mean, real and imaginary parts, and one more for what moves the variance of each bin. Between
+    /// two knots few coefficients of the discrepancy act.
     fn normal(
         &self,
         index: usize,
@@ -282,11 +266,8 @@ impl<'a> Likelihood<'a> {
         if !std::ptr::eq(predicted, beside) {
             record.gain = self.prepared(at, beside).gain;
         }
-        let f = self.forward.frequencies_hz(at);
-        let (n, n_x, n_knot) = (self.n_sensor(), slopes.len(), self.n_knot);
-        let n_column = n_x + self.n_discrepancy() + 1;
-        let mut rows = Mat::<f64>::zeros(3 * n * f.len(), n_column);
         // Slopes of the smoothed power, by coordinate.
+        let slopes: Vec<&Slope> = self.conventions.iter().chain(slopes).collect();
         let powers: Vec<Vec<Vec<f64>>> = slopes
             .iter()
             .map(|slope| {
@@ -297,62 +278,38 @@ impl<'a> Likelihood<'a> {
                 predicted.outputs.iter().zip(&slope[index]).map(of).collect()
             })
             .collect();
+        let f = self.forward.frequencies_hz(at);
+        let n = self.n_sensor();
+        // Coefficients of conventions follow those of the hats.
+        let (n_x, n_hat) = (slopes.len(), self.discrepancy.len() - self.conventions.len());
+        let mut g = Mat::<f64>::zeros(n_hat + n_x + 1, n_hat + n_x + 1);
         let mut nll = 0.0;
-        let mut moved = vec![C64::default(); n];
-        for (k, f) in f.iter().enumerate() {
-            let share = self.shares(hyper, *f);
-            let c: Vec<f64> = share.iter().map(|v| (1.0 - v).sqrt()).collect();
-            let sigma = self.covariance(index, &record, hyper, k, &share);
-            let residual: Vec<C64> =
-                (0..n).map(|s| predicted.measured[s][k] - c[s] * predicted.outputs[s][k]).collect();
-            let solved = sigma.solve(&residual);
-            nll += residual.iter().zip(&solved).map(|(r, w)| (r.conj() * w).re).sum::<f64>() + sigma.ln_determinant();
-            let at = 3 * n * k;
-            let mut put = |column: usize, values: &mut [C64]| {
-                sigma.whiten(values);
-                for (s, v) in values.iter().enumerate() {
-                    rows[(at + 2 * s, column)] = v.re * std::f64::consts::SQRT_2;
-                    rows[(at + 2 * s + 1, column)] = v.im * std::f64::consts::SQRT_2;
-                }
+        let mut first = 0;
+        while first < f.len() {
+            let knot = self.discrepancy.knot(f[first]).0;
+            let count = f[first..].iter().take_while(|f| self.discrepancy.knot(**f).0 == knot).count();
+            let mut rows = Mat::<f64>::zeros(3 * n * count, 4 * n + n_x + 1);
+            for (k, f_hz) in f.iter().enumerate().skip(first).take(count) {
+                let share = self.shares(hyper, *f_hz);
+                let sigma = self.covariance(index, &record, hyper, k, &share);
+                let bin = Bin { predicted, slopes: &slopes, powers: &powers, index, k, share: &share };
+                let block = rows.subrows_mut(3 * n * (k - first), 3 * n);
+                nll += bin.rows(&sigma, self.discrepancy.knot(*f_hz).1, block);
+            }
+            let local = rows.transpose() * &rows;
+            let place = |i: usize| match i.checked_sub(4 * n) {
+                Some(beside) => n_hat + beside,
+                None => self.discrepancy.index(i / 4, knot + (i / 2) % 2) + i % 2,
             };
-            for (i, slope) in slopes.iter().enumerate() {
-                (0..n).for_each(|s| moved[s] = slope[index][s][k] * c[s]);
-                put(i, &mut moved);
-            }
-            let (knot, weight) = hat(*f, self.band_hz, n_knot);
-            for s in 0..n {
-                let own = c[s] * (predicted.outputs[s][k] - predicted.base[k]);
-                for (j, w) in [(knot, 1.0 - weight), (knot + 1, weight)] {
-                    if w == 0.0 || j >= n_knot {
-                        continue;
-                    }
-                    for (part, unit) in [C64::new(1.0, 0.0), C64::new(0.0, 1.0)].into_iter().enumerate() {
-                        moved.fill(C64::default());
-                        moved[s] = own * w * unit;
-                        put(n_x + 2 * (s * n_knot + j) + part, &mut moved);
-                    }
+            let places: Vec<usize> = (0..local.nrows()).map(place).collect();
+            for (j, to) in places.iter().enumerate() {
+                for (i, from) in places.iter().enumerate() {
+                    g[(*from, *to)] += local[(i, j)];
                 }
             }
-            moved.copy_from_slice(&residual);
-            put(n_column - 1, &mut moved);
-            for s in 0..n {
-                let (row, inverse) = (at + 2 * n + s, sigma.inverse_diagonal(s));
-                rows[(row, n_column - 1)] = (solved[s].norm_sqr() / inverse - 1.0).min(OUTLYING);
-                for (i, power) in powers.iter().enumerate() {
-                    rows[(row, i)] = share[s] * power[s][k] * inverse;
-                }
-                let own = predicted.outputs[s][k].conj() * (predicted.outputs[s][k] - predicted.base[k]);
-                for (j, w) in [(knot, 1.0 - weight), (knot + 1, weight)] {
-                    if w == 0.0 || j >= n_knot {
-                        continue;
-                    }
-                    let column = n_x + 2 * (s * n_knot + j);
-                    rows[(row, column)] = share[s] * inverse * 2.0 * w * own.re;
-                    rows[(row, column + 1)] = -share[s] * inverse * 2.0 * w * own.im;
-                }
-            }
+            first += count;
         }
-        Normal { g: rows.transpose() * &rows, nll }
+        self.discrepancy.normal(g, nll)
     }
 
     fn normals(&self, prediction: &Prediction, slopes: &[Slope], hyper: &Hyper) -> Vec<Normal> {
@@ -360,63 +317,44 @@ impl<'a> Likelihood<'a> {
         indices.par_iter().map(|i| self.normal(*i, (&prediction[*i], &prediction[*i]), slopes, hyper)).collect()
     }
 
-    /// Marginalises the discrepancy with the levels of `hyper`.
-    fn reduced(&self, normals: &[Normal], hyper: &Hyper, n_x: usize) -> Option<Reduced> {
-        let gone: Vec<usize> = (n_x..n_x + self.n_discrepancy()).collect();
-        let precision = |level: usize| vec![(-2.0 * hyper.ln_discrepancy[level]).exp(); gone.len()];
-        let [shared, own] = [0, 1].map(precision);
-        let mut nll = self.prior(hyper);
-        let n_component = self.forward.problem.array.components.len().max(1);
-        let size = n_x + gone.len() + 1;
-        let mut sums = vec![Mat::<f64>::zeros(size, size); n_component];
-        let mut events = vec![Mat::<f64>::zeros(n_x + 1, n_x + 1); self.forward.groups.len()];
-        let parts: Vec<_> =
-            normals.par_iter().map(|normal| self.without_own(normal, &gone, &own)).collect::<Option<_>>()?;
-        for ((normal, at), (left, ln, gain)) in normals.iter().zip(&self.forward.records).zip(parts) {
-            let event = &self.forward.problem.events[self.forward.groups[at.group].records[at.record].event];
-            nll += normal.nll + 0.5 * ln - 0.5 * gain;
-            if n_x > 0 {
-                events[at.group] += eliminated(&left, &gone, &shared)?.0;
-            }
-            sums[event.component().min(n_component - 1)] += left;
-        }
-        let mut g = Mat::<f64>::zeros(n_x + 1, n_x + 1);
-        for sum in &sums {
-            let (left, ln) = eliminated(sum, &gone, &shared)?;
-            nll += 0.5 * ln - 0.5 * (sum[(size - 1, size - 1)] - left[(n_x, n_x)]);
-            g += left;
-        }
-        Some(Reduced { g, nll, events })
-    }
-
-    /// Normal equations of a record with the discrepancy of its own event marginalised beside the one that events share, the ln of the
-    /// determinant, and what that gains.
-    fn without_own(&self, normal: &Normal, gone: &[usize], precision: &[f64]) -> Option<(Mat<f64>, f64, f64)> {
-        let g = &normal.g;
-        let (m, n) = (gone.len(), g.nrows());
-        let level = 1.0 / precision.first().copied().unwrap_or(1.0).sqrt();
-        let first = gone.first().copied().unwrap_or(0);
-        let phi = g.subcols(first, m).to_owned();
-        let inner = Mat::from_fn(m, m, |i, j| phi[(first + i, j)] * level * level + f64::from(u8::from(i == j)));
-        let factor = inner.llt(Side::Lower).ok()?;
-        let l = factor.L();
-        let ln = (0..m).map(|i| 2.0 * l[(i, i)].ln()).sum();
-        let scaled = Mat::from_fn(m, n, |i, j| phi[(j, i)] * level);
-        let solved = factor.solve(&scaled);
-        let left = g - scaled.transpose() * solved;
-        let gain = g[(n - 1, n - 1)] - left[(n - 1, n - 1)];
-        Some((left, ln, gain))
+    fn reduced(&self, normals: &[Normal], hyper: &Hyper) -> Option<Reduced> {
+        let shared = self.discrepancy.summed(normals, hyper.levels)?;
+        let Shared { g, nll } = self.discrepancy.without_shared(&shared, hyper.levels)?;
+        Some(Reduced { g, nll: nll + self.prior(hyper) }).filter(|r| r.nll.is_finite())
     }
 
     /// Normal equations at `prediction`, the discrepancy marginalised; `None` where numbers are out of range.
     pub fn at(&self, prediction: &Prediction, slopes: &[Slope], hyper: &Hyper) -> Option<Reduced> {
-        let found = self.reduced(&self.normals(prediction, slopes, hyper), hyper, slopes.len())?;
-        found.nll.is_finite().then_some(found)
+        self.reduced(&self.normals(prediction, slopes, hyper), hyper)
+    }
+
+    /// Score of each event in the coordinates, the discrepancy marginalised.
+    pub fn scores(&self, prediction: &Prediction, slopes: &[Slope], hyper: &Hyper) -> Option<Vec<Vec<f64>>> {
+        let normals = self.normals(prediction, slopes, hyper);
+        let own = |normal: &Normal| self.discrepancy.without_own(normal, hyper.levels);
+        let parts: Vec<Shared> = normals.par_iter().map(own).collect::<Option<_>>()?;
+        let groups: Vec<usize> = self.forward.records.iter().map(|at| at.group).collect();
+        self.discrepancy.scores(&parts, &groups, hyper.levels)
+    }
+
+    /// [`Self::at`] without each event in turn, those of which nothing is left out of the band apart.
+    pub fn without_each_event(&self, prediction: &Prediction, slopes: &[Slope], hyper: &Hyper) -> Vec<Reduced> {
+        let normals = self.normals(prediction, slopes, hyper);
+        let own = |normal: &Normal| self.discrepancy.without_own(normal, hyper.levels);
+        let Some(parts) = normals.iter().map(own).collect::<Option<Vec<Shared>>>() else { return Vec::new() };
+        let of = |event: usize| {
+            let kept = parts.iter().zip(&self.forward.records).filter(|(_, at)| at.group != event).map(|(p, _)| p);
+            let zero = Shared { g: Mat::zeros(parts[0].g.nrows(), parts[0].g.ncols()), nll: self.prior(hyper) };
+            let sum = kept.fold(zero, |sum, p| Shared { g: sum.g + &p.g, nll: sum.nll + p.nll });
+            let Shared { g, nll } = self.discrepancy.without_shared(&sum, hyper.levels)?;
+            Some(Reduced { g, nll })
+        };
+        (0..self.forward.groups.len()).filter_map(of).collect()
     }
 
     /// −ln of the marginal likelihood and of the priors of hyperparameters; infinite where numbers are out of range.
     pub fn nll(&self, prediction: &Prediction, hyper: &Hyper) -> f64 {
-        self.at(prediction, &[], hyper).map_or(f64::INFINITY, |r| r.nll)
+        self.nll_beside(prediction, prediction, hyper)
     }
 
     /// The same with H of (1) as it is at another prediction, `beside`: what slopes there expect of a step.
@@ -424,8 +362,7 @@ impl<'a> Likelihood<'a> {
         let indices: Vec<usize> = (0..self.forward.records.len()).collect();
         let one = |i: &usize| self.normal(*i, (&prediction[*i], &beside[*i]), &[], hyper);
         let normals: Vec<Normal> = indices.par_iter().map(one).collect();
-        let found = self.reduced(&normals, hyper, 0).map_or(f64::INFINITY, |r| r.nll);
-        if found.is_finite() { found } else { f64::INFINITY }
+        self.reduced(&normals, hyper).map_or(f64::INFINITY, |r| r.nll)
     }
 
     /// Moves `hyper` towards its best values at `prediction`: levels of the discrepancy, then shares and noise given its mean.
@@ -434,75 +371,12 @@ impl<'a> Likelihood<'a> {
         for _ in 0..rounds {
             // What strays from bin to bin first: a smooth discrepancy must not stand in for it.
             let normals = self.normals(prediction, &[], &hyper);
-            let discrepancy = self.mean_discrepancy(&normals, &hyper);
-            self.tune_covariance(prediction, &discrepancy, &mut hyper);
+            let Some((_, mean)) = self.discrepancy.mean(&normals, hyper.levels) else { break };
+            self.tune_covariance(prediction, &mean, &mut hyper);
         }
         let normals = self.normals(prediction, &[], &hyper);
-        self.tune_levels(&normals, &mut hyper);
+        hyper.levels = self.discrepancy.tuned(&normals, hyper.levels);
         hyper
-    }
-
-    fn tune_levels(&self, normals: &[Normal], hyper: &mut Hyper) {
-        let value = |hyper: &Hyper| self.reduced(normals, hyper, 0).map_or(f64::INFINITY, |r| r.nll);
-        let mut best = value(hyper);
-        for step in LEVEL_STEPS {
-            for level in [0, 1] {
-                for sign in [1.0, -1.0] {
-                    let mut is_moved = false;
-                    loop {
-                        let mut other = hyper.clone();
-                        other.ln_discrepancy[level] += sign * step;
-                        if other.ln_discrepancy[level] < LEAST_DISCREPANCY.ln() {
-                            break;
-                        }
-                        let found = value(&other);
-                        if found >= best - 1e-3 {
-                            break;
-                        }
-                        (best, is_moved) = (found, true);
-                        *hyper = other;
-                    }
-                    if is_moved {
-                        break;
-                    }
-                }
-            }
-        }
-    }
-
-    /// Posterior mean of a + b_e by record, as coefficients.
-    fn mean_discrepancy(&self, normals: &[Normal], hyper: &Hyper) -> Vec<Vec<f64>> {
-        let m = self.n_discrepancy();
-        let [shared, own] = hyper.ln_discrepancy.map(|l| (-2.0 * l).exp());
-        let gone: Vec<usize> = (0..m).collect();
-        let n_component = self.forward.problem.array.components.len().max(1);
-        let component = |at: &At| {
-            let event = &self.forward.problem.events[self.forward.groups[at.group].records[at.record].event];
-            event.component().min(n_component - 1)
-        };
-        let mut sums = vec![Mat::<f64>::zeros(m + 1, m + 1); n_component];
-        for (normal, at) in normals.iter().zip(&self.forward.records) {
-            if let Some((left, ..)) = self.without_own(normal, &gone, &vec![own; m]) {
-                sums[component(at)] += left;
-            }
-        }
-        let solved = |g: &Mat<f64>, precision: f64, right: &dyn Fn(usize) -> f64| -> Vec<f64> {
-            let a = Mat::from_fn(m, m, |i, j| g[(i, j)] + if i == j { precision } else { 0.0 });
-            let side = Mat::from_fn(m, 1, |i, _| right(i));
-            a.llt(Side::Lower).map_or(vec![0.0; m], |f| {
-                let x = f.solve(&side);
-                (0..m).map(|i| x[(i, 0)]).collect()
-            })
-        };
-        let a: Vec<Vec<f64>> = sums.iter().map(|g| solved(g, shared, &|i| g[(i, m)])).collect();
-        let of = |(normal, at): (&Normal, &At)| {
-            let a = &a[component(at)];
-            let g = &normal.g;
-            let rest = |i: usize| g[(i, m)] - (0..m).map(|j| g[(i, j)] * a[j]).sum::<f64>();
-            let b = solved(g, own, &rest);
-            a.iter().zip(&b).map(|(a, b)| a + b).collect()
-        };
-        normals.iter().zip(&self.forward.records).map(of).collect()
     }
 
     /// What the discrepancy with these coefficients adds to the outputs of a record.
@@ -510,14 +384,19 @@ impl<'a> Likelihood<'a> {
         let f = self.forward.frequencies_hz(self.forward.records[index]);
         let of = |s: usize| {
             let at = |(k, f): (usize, &f64)| {
-                let (knot, w) = hat(*f, self.band_hz, self.n_knot);
+                let (knot, w) = self.discrepancy.knot(*f);
                 let own = |j: usize| {
-                    let i = 2 * (s * self.n_knot + j.min(self.n_knot - 1));
+                    let i = self.discrepancy.index(s, j);
                     C64::new(coefficients[i], coefficients[i + 1])
                 };
                 (own(knot) * (1.0 - w) + own(knot + 1) * w) * (predicted.outputs[s][k] - predicted.base[k])
             };
-            f.iter().enumerate().map(at).collect()
+            let mut bins: Vec<C64> = f.iter().enumerate().map(at).collect();
+            let first = self.discrepancy.len() - self.conventions.len();
+            for (convention, share) in self.conventions.iter().zip(&coefficients[first..]) {
+                bins.iter_mut().zip(&convention[index][s]).for_each(|(b, c)| *b += c * *share);
+            }
+            bins
         };
         (0..self.n_sensor()).map(of).collect()
     }
@@ -581,14 +460,10 @@ impl<'a> Likelihood<'a> {
             let c: Vec<f64> = share.iter().map(|v| (1.0 - v).sqrt()).collect();
             let residual: Vec<C64> = (0..n).map(|s| predicted.measured[s][k] - c[s] * mean[s]).collect();
             let w = sigma.solve(&residual);
-            // Σ⁻¹ h, h = H √S_in: the one derivative of Σ that is not diagonal is h hᴴ.
-            let h: Vec<C64> = (0..n).map(|s| sigma.b[s] * sigma.d[s].sqrt()).collect();
+            // The one derivative of Σ that is not diagonal is h hᴴ.
+            let h = sigma.base();
             let solved_h = sigma.solve(&h);
             let quadratic: f64 = h.iter().zip(&solved_h).map(|(h, x)| (h.conj() * x).re).sum();
-            let inverse = |r: usize, c: usize| -> C64 {
-                let own = if r == c { 1.0 / sigma.d[r] } else { 0.0 };
-                own - sigma.b[r] * sigma.b[c].conj() / ((1.0 + sigma.g) * (sigma.d[r] * sigma.d[c]).sqrt())
-            };
             // (index, sensor, dΣ_ss, dmean)
             let (knot, weight) = hat(*f, self.band_hz, SHARE_KNOTS);
             let mut diagonal: Vec<(usize, usize, f64, C64)> = Vec::with_capacity(3 * n);
@@ -603,9 +478,9 @@ impl<'a> Likelihood<'a> {
                 diagonal.push((n_share + 1 + s, s, noise, C64::default()));
             }
             for (a, (i, s, d, mean)) in diagonal.iter().enumerate() {
-                score[*i] += d * (w[*s].norm_sqr() - inverse(*s, *s).re) + 2.0 * (mean.conj() * w[*s]).re;
+                score[*i] += d * (w[*s].norm_sqr() - sigma.inverse(*s, *s).re) + 2.0 * (mean.conj() * w[*s]).re;
                 for (j, t, e, other) in &diagonal[..=a] {
-                    let x = inverse(*s, *t);
+                    let x = sigma.inverse(*s, *t);
                     let value = d * e * x.norm_sqr() + 2.0 * (mean.conj() * x * other).re;
                     information[(*i, *j)] += value;
                     if i != j {
@@ -627,13 +502,12 @@ impl<'a> Likelihood<'a> {
     /// alone, and all that is left.
     pub fn shares_of_power(&self, prediction: &Prediction, hyper: &Hyper) -> Vec<Vec<[f64; 4]>> {
         let normals = self.normals(prediction, &[], hyper);
-        let whole = self.mean_discrepancy(&normals, hyper);
-        let mut silent = hyper.clone();
-        silent.ln_discrepancy[1] = -20.0;
-        let shared = self.mean_discrepancy(&normals, &Hyper { ..silent });
+        let n = self.forward.records.len();
+        let nothing = || (vec![0.0; self.discrepancy.len()], vec![vec![0.0; self.discrepancy.len()]; n]);
+        let (shared, whole) = self.discrepancy.mean(&normals, hyper.levels).unwrap_or_else(nothing);
         let power = |x: &[C64]| x.iter().map(C64::norm_sqr).sum::<f64>();
         let of = |i: usize| -> Vec<[f64; 4]> {
-            let [both, shared] = [&whole, &shared].map(|c| self.added(i, &prediction[i], &c[i]));
+            let [both, shared] = [&whole[i], &shared].map(|c| self.added(i, &prediction[i], c));
             let one = |s: usize| {
                 let own: Vec<C64> = both[s].iter().zip(&shared[s]).map(|(a, b)| a - b).collect();
                 let p = &prediction[i];
@@ -645,14 +519,21 @@ impl<'a> Likelihood<'a> {
         (0..self.forward.records.len()).map(of).collect()
     }
 
+    /// What all records share of the discrepancy of sensor `s`: frequency of its knots in Hz, real and imaginary part.
+    pub fn shared_discrepancy(&self, prediction: &Prediction, hyper: &Hyper) -> Vec<Vec<[f64; 3]>> {
+        let normals = self.normals(prediction, &[], hyper);
+        let Some((shared, _)) = self.discrepancy.mean(&normals, hyper.levels) else { return Vec::new() };
+        (0..self.n_sensor()).map(|s| self.discrepancy.at_knots(s, &shared)).collect()
+    }
+
     /// `hyper` as beside a model that lacks nothing: no more than the medians of their priors. What a candidate would explain must not
     /// be taken for discrepancy when candidates are compared.
-    pub fn sharpened(hyper: &Hyper) -> Hyper {
+    pub fn sharpened(&self, hyper: &Hyper) -> Hyper {
         let least = |x: &f64, median: f64| x.min(median.ln());
         Hyper {
             ln_share: hyper.ln_share.iter().map(|s| s.iter().map(|x| least(x, SHARE[0])).collect()).collect(),
             ln_noise: hyper.ln_noise.clone(),
-            ln_discrepancy: hyper.ln_discrepancy.map(|x| least(&x, DISCREPANCY[0])),
+            levels: hyper.levels.sharpened(self.discrepancy.usual()),
         }
     }
 

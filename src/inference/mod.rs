@@ -9,6 +9,9 @@
 mod algebra;
 mod answer;
 mod competition;
+mod convention;
+mod covariance;
+mod discrepancy;
 mod forward;
 mod likelihood;
 #[cfg(test)]

@@ -28,7 +28,7 @@ const MODES: [usize; 2] = [9, 3];
 /// Farthest an unknown may go from the mean of its prior, standard deviations.
 const FARTHEST: f64 = 6.0;
 /// Step of a finite difference by replay and of one by a sensor's operator, prior standard deviations.
-const STEPS: [f64; 2] = [0.05, 0.02];
+const STEPS: [f64; 2] = [0.2, 0.02];
 
 /// A declared value that may be off within its tolerance: the effect that moves it.
 #[derive(Debug, Clone, PartialEq)]

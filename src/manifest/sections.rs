@@ -222,7 +222,8 @@ pub struct Tolerances {
     pub orientation_deg: f64,
     /// Depth of an output sensor, m.
     pub depth_m: f64,
-    /// Error of the column itself that is no parameter's, as a share of the recorded motion.
+    /// Error of the column itself that is no parameter's, as a share of what the column adds to its base motion: what another program's
+    /// column of the same site would differ by.
     pub model: f64,
 }
 
@@ -235,7 +236,7 @@ impl Default for Tolerances {
             clock_s: 0.001,
             orientation_deg: 1.0,
             depth_m: 0.1,
-            model: 0.1,
+            model: 0.05,
         }
     }
 }

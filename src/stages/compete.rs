@@ -22,7 +22,7 @@ impl Stage for Compete {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
