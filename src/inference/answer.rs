@@ -5,7 +5,7 @@ use super::convention::conventions;
 use super::forward::{Forward, Prediction};
 use super::likelihood::Likelihood;
 use super::parameters::{Declared, Model};
-use super::posterior::{Fit, Fitter, Start};
+use super::posterior::{Fit, Fitter, Start, Stop};
 use crate::diagnosis::{DiagnoseSettings, Estimate, Problem, Replay, Verdict};
 use crate::effects;
 use crate::error::Result;
@@ -131,7 +131,7 @@ pub fn compete(
 fn fit_declared<'a>(fitter: &Fitter<'a>, declared: &'a Declared) -> Result<Fit<'a>> {
     let model = Model { declared, effects: Vec::new() };
     let x = vec![0.0; model.len()];
-    fitter.fit(Start { model, x, hyper: fitter.likelihood.start(), slopes: Vec::new() })
+    fitter.fit(Start { model, x, hyper: fitter.likelihood.start(), slopes: Vec::new() }, Stop::EXACT)
 }
 
 struct Answer<'c, 'a> {

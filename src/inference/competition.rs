@@ -9,7 +9,7 @@ use super::algebra::{self, Marginal};
 use super::forward::{Forward, Prediction};
 use super::likelihood::Slope;
 use super::parameters::{Model, is_replayed, prior_of};
-use super::posterior::{Fit, Fitter, Start, difference};
+use super::posterior::{Fit, Fitter, Start, Stop, difference};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
@@ -20,11 +20,15 @@ use std::collections::BTreeMap;
 const KINDS: usize = 4;
 /// ln of the evidence that a candidate may fall short of what is declared by to be fitted.
 const PROMISING: f64 = -3.0;
+/// Expected gain in ln of the evidence below which a fit of the search has converged.
+const CONVERGED: f64 = 0.3;
+/// ln of the odds against the best within which models are fitted exactly at the end.
+const CLOSE: f64 = 6.0;
 /// Share of what the best model has over another that a candidate beside that one must promise to be fitted.
 const HOPEFUL: f64 = 0.3;
-/// Candidates whose directions are taken anew beside a model, and places of one kind among them.
-const SHORTLIST: usize = 14;
-const PLACES: usize = 2;
+/// Candidates whose directions are taken anew at a point, and places of one kind among them.
+const SHORTLIST: usize = 16;
+const PLACES: usize = 3;
 /// Pairs that get hyperparameters of their own.
 const PAIRS: usize = 8;
 /// Farthest strength along a direction, in that of its node.
@@ -33,10 +37,9 @@ const FARTHEST: f64 = 3.0;
 const SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
 /// Most rounds of the competition.
 const ROUNDS: usize = 8;
-/// Sizes of a strength at which a candidate is tried, in typical sizes: by replay, and by a sensor's operator.
-const NODES: [&[f64]; 2] = [&[0.5], &[0.25, 1.0, 2.0]];
-/// The same around what is declared, where no direction is extrapolated.
-const FAR_NODES: &[f64] = &[0.5, 1.0, 1.7];
+/// Sizes of a strength at which a candidate is tried, in typical sizes: by replay where all are, by replay where few are, and by a
+/// sensor's operator.
+const NODES: [&[f64]; 3] = [&[0.5], &[0.5, 1.5], &[0.25, 1.0, 2.0]];
 /// Prior probability of one effect more.
 const ONE_MORE: f64 = 0.25;
 
@@ -50,6 +53,12 @@ struct Node {
     is_one_sided: bool,
 }
 
+/// A candidate's node and how the prediction of a point changes towards it.
+struct Direction {
+    node: Node,
+    slope: Slope,
+}
+
 /// Candidates that the linear problem finds worth a fit.
 struct Proposal {
     /// Effects, and coordinates to start from.
@@ -61,8 +70,10 @@ struct Proposal {
 
 /// What the linear problem says of one node.
 struct Linear {
-    /// Its place among the nodes.
+    /// Its place among the directions.
     index: usize,
+    /// Strength where the linear problem puts it, in that of its node.
+    share: f64,
     log_evidence: f64,
 }
 
@@ -78,6 +89,8 @@ pub struct Competition<'a> {
     /// Everything that was fitted, what is declared first.
     pub fits: Vec<Fit<'a>>,
     expanded: Vec<Vec<Instance>>,
+    /// Directions of all candidates that are replayed, at the two points of what is declared.
+    known_directions: [Vec<Direction>; 2],
 }
 
 impl<'a> Competition<'a> {
@@ -96,6 +109,7 @@ impl<'a> Competition<'a> {
             design_effect: 1.0,
             fits: vec![declared],
             expanded: Vec::new(),
+            known_directions: Default::default(),
         }
     }
 
@@ -121,7 +135,6 @@ impl<'a> Competition<'a> {
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
         self.design_effect = self.fits[0].design_effect(self.fitter.likelihood);
-        self.around_declared(progress)?;
         for _ in 0..ROUNDS {
             self.design_effect = self.best().design_effect(self.fitter.likelihood);
             let best = self.best().clone();
@@ -138,33 +151,22 @@ impl<'a> Competition<'a> {
                 .into_iter()
                 .find(|set| set.len() < self.max_effects && !self.expanded.iter().any(|e| is_same_set(e, set)))
             else {
-                return Ok(());
+                break;
             };
             self.expand(next, progress)?;
         }
-        Ok(())
+        self.settle()
     }
 
-    /// Fits the most probable candidates from what is declared: where an effect is large, tolerances that were made to stand in for it
-    /// lead away from it.
-    fn around_declared(&mut self, progress: &dyn Progress) -> Result<()> {
-        let declared = self.fits[0].model.declared;
-        let plain = self.fitter.unfitted(Model { declared, effects: Vec::new() })?;
-        let likelihood = self.fitter.likelihood;
-        let hyper = likelihood.tuned(&plain.prediction, &plain.hyper, 2);
-        let mut plain = Fit { hyper, ..plain };
-        plain.cost = likelihood.nll(&plain.prediction, &plain.hyper);
-        let mut proposals = Vec::new();
-        for node in self.nodes(&plain, [FAR_NODES, FAR_NODES]) {
-            let mut all = plain.model.tables(&plain.x);
-            all.push(node.instance.at(&node.at));
-            let Ok(there) = self.fitter.forward.predict(&all) else { continue };
-            // Only what is already better than all that tolerances can do is worth a fit from here.
-            proposals.extend(self.discrete(&self.fits[0], node, &there));
+    /// Fits exactly whatever is close to the best.
+    fn settle(&mut self) -> Result<()> {
+        loop {
+            let highest = self.log_posterior(self.best());
+            let is_open = |f: &Fit<'a>| !f.is_exact && self.log_posterior(f) > highest - CLOSE;
+            let Some(open) = self.fits.iter().position(is_open) else { return Ok(()) };
+            self.fits[open] = self.fitter.settled(&self.fits[open])?;
+            self.design_effect = self.best().design_effect(self.fitter.likelihood);
         }
-        proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
-        self.fit_chosen(&plain, proposals, progress);
-        Ok(())
     }
 
     /// Fits `fit` without one of its effects, where that is not known.
@@ -180,7 +182,8 @@ impl<'a> Competition<'a> {
         let x = (0..fit.x.len()).filter(kept).map(|i| fit.x[i]).collect();
         let slopes = (0..fit.x.len()).filter(kept).map(|i| Some(fit.slopes[i].clone())).collect();
         let model = Model { declared: fit.model.declared, effects: effects.clone() };
-        let found = self.fitter.fit(Start { model, x, hyper: fit.hyper.clone(), slopes })?;
+        let stop = Stop { gain: CONVERGED * self.design_effect, cost: f64::INFINITY, is_exact: false };
+        let found = self.fitter.fit(Start { model, x, hyper: fit.hyper.clone(), slopes }, stop)?;
         self.fits.push(found);
         Ok(effects)
     }
@@ -190,14 +193,44 @@ impl<'a> Competition<'a> {
         let Some(index) = self.known(&effects) else { return Ok(()) };
         self.expanded.push(effects.clone());
         let base = self.fits[index].clone();
-        let mut proposals = self.proposals(&base)?;
+        let mut proposals = Vec::new();
+        for (i, point) in [base.clone(), self.relaxed(&base)?].iter().enumerate() {
+            if self.known_directions[i].is_empty() {
+                let is_linear = |n: &Node| !n.at.is_empty() && !Forward::is_interference(&n.instance);
+                let sizes = |i: &Instance| if self.is_replayed(i) { NODES[0] } else { &[] };
+                let mut nodes: Vec<Node> = self.nodes(point, sizes).into_iter().filter(is_linear).collect();
+                // One direction serves both signs.
+                nodes.dedup_by(|b, a| a.instance == b.instance && a.distance * b.distance < 0.0);
+                self.known_directions[i] = nodes.into_iter().filter_map(|node| self.direction(point, node)).collect();
+            }
+            proposals.extend(self.proposals(point, &self.known_directions[i]));
+        }
+        proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
         let known = self.log_posterior(self.best()) - self.log_posterior(&base);
         proposals.retain(|p| p.log_evidence >= HOPEFUL * known);
-        self.fit_chosen(&base, proposals, progress);
+        let stop = Stop {
+            gain: CONVERGED * self.design_effect,
+            cost: base.cost - HOPEFUL * known * self.design_effect,
+            is_exact: false,
+        };
+        self.fit_chosen(&base, proposals, stop, progress);
         Ok(())
     }
 
-    fn fit_chosen(&mut self, base: &Fit<'a>, proposals: Vec<Proposal>, progress: &dyn Progress) {
+    /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.
+    fn relaxed(&self, fit: &Fit<'a>) -> Result<Fit<'a>> {
+        let mut x = fit.x.clone();
+        x[..fit.model.declared.len()].fill(0.0);
+        let prediction = std::sync::Arc::new(self.fitter.forward.predict(&fit.model.tables(&x))?);
+        let hyper = self.fitter.likelihood.tuned(&prediction, &fit.hyper, 2);
+        Ok(Fit { x, prediction, hyper, ..fit.clone() })
+    }
+
+    fn is_replayed(&self, instance: &Instance) -> bool {
+        is_replayed(instance, &self.fitter.forward.problem.array.input)
+    }
+
+    fn fit_chosen(&mut self, base: &Fit<'a>, proposals: Vec<Proposal>, stop: Stop, progress: &dyn Progress) {
         for set in chosen(proposals) {
             let mut all = base.model.effects.clone();
             all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
@@ -208,7 +241,9 @@ impl<'a> Competition<'a> {
             let slopes = base.slopes.iter().cloned().map(Some).collect();
             let model = Model { declared: base.model.declared, effects: all };
             let x = self.started(base, &model, &set);
-            let Ok(found) = self.fitter.fit(Start { model, x, hyper: base.hyper.clone(), slopes }) else { continue };
+            let Ok(found) = self.fitter.fit(Start { model, x, hyper: base.hyper.clone(), slopes }, stop) else {
+                continue;
+            };
             let effects = 0..found.model.effects.len();
             let named: Vec<String> =
                 effects.map(|i| found.model.effect_table(&found.x, i).to_string().replace('\n', ", ")).collect();
@@ -251,9 +286,8 @@ impl<'a> Competition<'a> {
         all.into_iter().nth(best).unwrap_or_default()
     }
 
-    /// Candidates that the model lacks, at their nodes.
-    fn nodes(&self, base: &Fit<'a>, sizes: [&[f64]; 2]) -> Vec<Node> {
-        let input = &self.fitter.forward.problem.array.input;
+    /// Candidates that the model lacks, at the nodes of the given sizes.
+    fn nodes(&self, base: &Fit<'a>, sizes: impl Fn(&Instance) -> &'static [f64]) -> Vec<Node> {
         let mut nodes = Vec::new();
         for instance in &self.instances {
             if base.model.effects.iter().any(|e| is_one(e, instance)) {
@@ -264,18 +298,12 @@ impl<'a> Competition<'a> {
                 continue;
             };
             let bounds = instance.bounds();
-            let sizes = sizes[usize::from(!is_replayed(instance, input))];
             for (i, free) in instance.free.iter().enumerate().filter(|(_, f)| f.zero.is_some()) {
                 let is_one_sided = bounds[i].iter().any(|b| (b - zero[i]).abs() < 1e-12);
-                for size in sizes {
+                for size in sizes(instance) {
                     for sign in [1.0, -1.0] {
                         let at = (zero[i] + sign * size * free.size).clamp(bounds[i][0], bounds[i][1]);
                         if (at - zero[i]).abs() < 1e-3 * size * free.size {
-                            continue;
-                        }
-                        // One direction serves both signs.
-                        let is_known = |n: &Node| n.instance == *instance && (n.at[i] - zero[i]) * (at - zero[i]) < 0.0;
-                        if sizes.len() == 1 && nodes.iter().any(is_known) {
                             continue;
                         }
                         let mut all = zero.clone();
@@ -289,12 +317,11 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// All candidates, most probable first, each at its best node.
-    ///
-    fn proposals(&self, base: &Fit<'a>) -> Result<Vec<Proposal>> {
+    /// All candidates beside `base`, each at its best node; `known` are directions of those that are replayed, from another point.
+    fn proposals(&self, base: &Fit<'a>, known: &[Direction]) -> Vec<Proposal> {
         let mut proposals = Vec::new();
-        let mut nodes = Vec::new();
-        for node in self.nodes(base, NODES) {
+        let mut analytic = Vec::new();
+        for node in self.nodes(base, |i| if self.is_replayed(i) { &[] } else { NODES[2] }) {
             if node.at.is_empty() || Forward::is_interference(&node.instance) {
                 let mut all = base.model.tables(&base.x);
                 all.push(node.instance.at(&node.at));
@@ -303,39 +330,50 @@ impl<'a> Competition<'a> {
                 }
                 continue;
             }
-            nodes.extend(self.direction(base, node));
+            analytic.extend(self.direction(base, node));
         }
-        let (singles, _) = self.linear(base, &nodes);
-        let promising = shortlist(&nodes, &singles);
-        let anew: Vec<(Node, Slope)> =
-            nodes.into_iter().enumerate().filter(|(i, _)| promising.contains(i)).map(|(_, node)| node).collect();
+        let is_lacking = |d: &&Direction| !base.model.effects.iter().any(|e| is_one(e, &d.node.instance));
+        let all: Vec<&Direction> = known.iter().filter(is_lacking).chain(&analytic).collect();
+        let (singles, _) = self.linear(base, &all);
+        let promising = shortlist(&all, &singles);
+        // Which way each of them goes is known by now.
+        let toward = |instance: &Instance| {
+            let found = singles.iter().find(|s| all[s.index].node.instance == *instance)?;
+            Some((found.share * all[found.index].node.distance).signum())
+        };
+        let is_meant =
+            |n: &Node| self.is_replayed(&n.instance) && toward(&n.instance).is_none_or(|t| t * n.distance > 0.0);
+        let sizes = |i: &Instance| if promising.contains(i) { NODES[1] } else { &[] };
+        let renewed =
+            self.nodes(base, sizes).into_iter().filter(is_meant).filter_map(|node| self.direction(base, node));
+        let renewed: Vec<Direction> = renewed.collect();
+        let kept = analytic.iter().filter(|d| promising.contains(&d.node.instance));
+        let anew: Vec<&Direction> = renewed.iter().chain(kept).collect();
         let (singles, pairs) = self.linear(base, &anew);
-        let alone = singles.iter().filter_map(|s| self.tuned(base, &[&anew[s.index]]));
-        proposals.extend(alone);
+        proposals.extend(singles.iter().filter_map(|s| self.tuned(base, &[anew[s.index]])));
         if base.model.effects.len() + 2 <= self.max_effects {
-            proposals.extend(pairs.iter().filter_map(|[i, j]| self.tuned(base, &[&anew[*i], &anew[*j]])));
+            proposals.extend(pairs.iter().filter_map(|pair| self.tuned(base, &pair.map(|i| anew[i]))));
         }
-        proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
-        Ok(proposals)
+        proposals
     }
 
     /// How the prediction of `base` changes towards a node.
-    fn direction(&self, base: &Fit<'a>, node: Node) -> Option<(Node, Slope)> {
+    fn direction(&self, base: &Fit<'a>, node: Node) -> Option<Direction> {
         let mut all = base.model.tables(&base.x);
         all.push(node.instance.at(&node.at));
         let there = self.fitter.forward.predict(&all).ok()?;
         let slope = difference(&base.prediction, &there, 1.0);
-        Some((node, slope))
+        Some(Direction { node, slope })
     }
 
     /// Candidates together by the linear prediction with hyperparameters of their own: what they explain is no discrepancy any more.
-    fn tuned(&self, base: &Fit<'a>, set: &[&(Node, Slope)]) -> Option<Proposal> {
+    fn tuned(&self, base: &Fit<'a>, set: &[&Direction]) -> Option<Proposal> {
         let likelihood = self.fitter.likelihood;
-        let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(set.iter().map(|(_, s)| s.clone())).collect();
+        let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(set.iter().map(|d| d.slope.clone())).collect();
         let prior = base.model.prior();
         let n = base.x.len();
         let mut precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
-        precision.extend(set.iter().map(|(node, _)| node.distance * node.distance));
+        precision.extend(set.iter().map(|d| d.node.distance * d.node.distance));
         let mut z: Vec<f64> = base.x.iter().zip(&prior).map(|(x, [mean, _])| x - mean).collect();
         z.resize(n + set.len(), 0.0);
         let mut prediction = (*base.prediction).clone();
@@ -344,7 +382,7 @@ impl<'a> Competition<'a> {
         for _ in 0..2 {
             let reduced = likelihood.at(&prediction, &slopes, &hyper)?;
             let held = |i: usize, step: f64| {
-                let Some((node, _)) = i.checked_sub(n).and_then(|i| set.get(i)) else { return step };
+                let Some(Direction { node, .. }) = i.checked_sub(n).and_then(|i| set.get(i)) else { return step };
                 let least = if node.is_one_sided { 0.0 } else { -FARTHEST };
                 (z[i] + step).clamp(least, FARTHEST) - z[i]
             };
@@ -362,8 +400,8 @@ impl<'a> Competition<'a> {
             cost = likelihood.nll(&prediction, &hyper) + distance;
             occam = (n..z.len()).map(|i| -0.5 * (1.0 + reduced.g[(i, i)] / precision[i]).ln()).sum();
         }
-        let place: f64 = set.iter().map(|(node, _)| self.prior_of(&node.instance)).sum();
-        let part = |(i, (node, _)): (usize, &&(Node, Slope))| {
+        let place: f64 = set.iter().map(|d| self.prior_of(&d.node.instance)).sum();
+        let part = |(i, Direction { node, .. }): (usize, &&Direction)| {
             let zero = node.instance.zero().unwrap_or_default();
             let start = zero.iter().zip(&node.at).map(|(a, b)| a + z[n + i] * (b - a));
             let start = start.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
@@ -378,7 +416,7 @@ impl<'a> Competition<'a> {
     fn discrete(&self, base: &Fit<'a>, node: Node, there: &Prediction) -> Option<Proposal> {
         let likelihood = self.fitter.likelihood;
         let hyper = likelihood.tuned(there, &base.hyper, 1);
-        let gained = likelihood.nll(&base.prediction, &base.hyper) - likelihood.nll(there, &hyper);
+        let gained = base.cost - likelihood.nll(there, &hyper) - Fitter::prior(&base.model, &base.x);
         let hidden = if node.at.is_empty() { 0.0 } else { self.fitter.forward.records.len() as f64 };
         let log_evidence = (gained - hidden) / self.design_effect + self.prior_of(&node.instance);
         Some(Proposal { parts: vec![(node.instance, node.at)], beside: vec![0.0; base.x.len()], log_evidence })
@@ -389,8 +427,8 @@ impl<'a> Competition<'a> {
     }
 
     /// The best node of each candidate by the linear problem around `base`, and the best pairs of these.
-    fn linear(&self, base: &Fit<'a>, nodes: &[(Node, Slope)]) -> (Vec<Linear>, Vec<[usize; 2]>) {
-        let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(nodes.iter().map(|(_, s)| s.clone())).collect();
+    fn linear(&self, base: &Fit<'a>, nodes: &[&Direction]) -> (Vec<Linear>, Vec<[usize; 2]>) {
+        let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(nodes.iter().map(|d| d.slope.clone())).collect();
         let Some(reduced) =
             self.fitter.likelihood.at(&base.prediction, &slopes, &self.fitter.likelihood.sharpened(&base.hyper))
         else {
@@ -408,14 +446,14 @@ impl<'a> Competition<'a> {
             // Beyond its node and far from it a direction says little.
             share.clamp(if node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST)
         };
-        for (index, (node, _)) in nodes.iter().enumerate() {
+        for (index, Direction { node, .. }) in nodes.iter().enumerate() {
             let (a, b) = (left[(index, index)], left[(index, last)]);
             let total = a + node.distance * node.distance;
             let share = held(node, b / total);
             let gain = (b * share - 0.5 * total * share * share) / self.design_effect
                 - 0.5 * (total / (node.distance * node.distance)).ln();
-            let found = Linear { index, log_evidence: gain + self.prior_of(&node.instance) };
-            match best.iter_mut().find(|p| nodes[p.index].0.instance == node.instance) {
+            let found = Linear { index, share, log_evidence: gain + self.prior_of(&node.instance) };
+            match best.iter_mut().find(|p| nodes[p.index].node.instance == node.instance) {
                 Some(known) if known.log_evidence >= found.log_evidence => {}
                 Some(known) => *known = found,
                 None => best.push(found),
@@ -426,8 +464,8 @@ impl<'a> Competition<'a> {
         for (n, one) in best.iter().enumerate().take(SHORTLIST) {
             for other in best.iter().take(SHORTLIST).skip(n + 1) {
                 let pair = [one.index, other.index];
-                let [p, q] = pair.map(|i| &nodes[i].0);
-                let [a, d] = pair.map(|i| left[(i, i)] + nodes[i].0.distance.powi(2));
+                let [p, q] = pair.map(|i| &nodes[i].node);
+                let [a, d] = pair.map(|i| left[(i, i)] + nodes[i].node.distance.powi(2));
                 let (c, [e, f]) = (left[(pair[0], pair[1])], pair.map(|i| left[(i, last)]));
                 let determinant = a * d - c * c;
                 if determinant <= 1e-9 * a * d {
@@ -443,7 +481,7 @@ impl<'a> Competition<'a> {
         pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
         let mut known: Vec<[&str; 2]> = Vec::new();
         let is_new = |(pair, _): &([usize; 2], f64)| {
-            let mut kinds = pair.map(|i| nodes[i].0.instance.kind);
+            let mut kinds = pair.map(|i| nodes[i].node.instance.kind);
             kinds.sort_unstable();
             let is_new = !known.contains(&kinds);
             known.push(kinds);
@@ -467,19 +505,19 @@ fn centred(g: &Mat<f64>, base: &Fit<'_>, precision: &[f64]) -> Option<Marginal> 
     algebra::without(&own, &(0..n).collect::<Vec<_>>(), precision)
 }
 
-/// Nodes of the candidates worth another look: the best places of the best kinds.
-fn shortlist(nodes: &[(Node, Slope)], ranked: &[Linear]) -> Vec<usize> {
+/// Candidates worth another look: the best places of the best kinds.
+fn shortlist(directions: &[&Direction], ranked: &[Linear]) -> Vec<Instance> {
     let mut kinds: BTreeMap<&'static str, usize> = BTreeMap::new();
-    let mut found: Vec<&Instance> = Vec::new();
+    let mut found: Vec<Instance> = Vec::new();
     for linear in ranked {
-        let instance = &nodes[linear.index].0.instance;
+        let instance = &directions[linear.index].node.instance;
         let count = kinds.entry(instance.kind).or_default();
         *count += 1;
         if *count <= PLACES && found.len() < SHORTLIST {
-            found.push(instance);
+            found.push(instance.clone());
         }
     }
-    (0..nodes.len()).filter(|i| found.contains(&&nodes[*i].0.instance)).collect()
+    found
 }
 
 /// The step of coordinates `z` from the means of their prior that normal equations ask for, where `held` gives how far a coordinate may

@@ -65,12 +65,13 @@ impl Levels {
 /// the column would do if it were computed in another way that the field holds to be as good, N(0, 1).
 ///
 /// ```text
-/// δ_s(f) = Σ_k φ_k(f) (a + b_e)_sk,   a = W α + ν,   b_e = W β_e           (1)
-/// α ~ N(0, σ_w²),  ν ~ N(0, σ_n²),  β_e ~ N(0, σ_o²)                      (2)
+/// δ_s(f) = Σ_k φ_k(f) (a + t_e W γ + b_e)_sk,   a = W α + ν,   b_e = W β_e           (1)
+/// α ~ N(0, σ_w²),  ν ~ N(0, σ_n²),  γ, β_e ~ N(0, σ_o²)                             (2)
 /// ```
 ///
 /// φ are hats over ln f and W takes knots an octave apart to them, half of its variance common to all sensors: what is wrong below
-/// a sensor is wrong above it too. a is the same in all records, of both components; b_e is that of one record.
+/// a sensor is wrong above it too. a is the same in all records, of both components; t_e is the strength of the motion
+/// ([`strengths`]): what a law of soil has wrong grows or shrinks with strain; b_e is that of one record.
 ///
 /// Source: Kennedy and O'Hagan (2001), doi 10.1111/1467-9868.00294.
 pub struct Discrepancy {
@@ -89,6 +90,8 @@ pub struct Normal {
     pub g: Mat<f64>,
     /// −ln of the likelihood where nothing is moved.
     pub nll: f64,
+    /// Strength t of (1) of [`Discrepancy`].
+    strength: f64,
     /// Wᵀ G, and Wᵀ G W.
     cross: Mat<f64>,
     inner: Mat<f64>,
@@ -96,10 +99,29 @@ pub struct Normal {
 
 /// Normal equations of all records without what each has for itself.
 pub struct Shared {
-    /// All of it; coefficients of the discrepancy first.
+    /// All of it; coefficients a, then γ of [`Discrepancy`] first.
     pub g: Mat<f64>,
     /// −ln of the likelihood where neither what is shared nor anything else is moved.
     pub nll: f64,
+}
+
+/// Posterior mean of the coefficients of a discrepancy.
+pub struct Mean {
+    /// What all records share at the mean strength.
+    pub shared: Vec<f64>,
+    /// What repeats in motions as strong as each record.
+    pub repeatable: Vec<Vec<f64>>,
+    /// All of each record.
+    pub whole: Vec<Vec<f64>>,
+}
+
+/// Strengths of motions in standard deviations of the ln of their peaks from the mean of these; zero where all are alike.
+pub fn strengths(peaks_m_s2: &[f64]) -> Vec<f64> {
+    let ln: Vec<f64> = peaks_m_s2.iter().map(|p| p.max(f64::MIN_POSITIVE).ln()).collect();
+    let n = ln.len().max(1) as f64;
+    let mean = ln.iter().sum::<f64>() / n;
+    let deviation = (ln.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / n).sqrt();
+    ln.iter().map(|x| if deviation > 1e-6 { (x - mean) / deviation } else { 0.0 }).collect()
 }
 
 /// Hat functions over ln f with `n` knots: the knot below and the share of the one above.
@@ -173,11 +195,11 @@ impl Discrepancy {
         (0..self.n_knot).map(of).collect()
     }
 
-    /// Normal equations `g` of a record, prepared.
-    pub fn normal(&self, g: Mat<f64>, nll: f64) -> Normal {
+    /// Normal equations `g` of a record of this strength, prepared.
+    pub fn normal(&self, g: Mat<f64>, nll: f64, strength: f64) -> Normal {
         let cross = self.wide.transpose() * g.subrows(0, self.len());
         let inner = cross.subcols(0, self.len()) * &self.wide;
-        Normal { g, nll, cross, inner }
+        Normal { g, nll, strength, cross, inner }
     }
 
     /// A record without what it has for itself.
@@ -187,12 +209,34 @@ impl Discrepancy {
         let Marginal { left, ln_determinant } =
             marginal(&normal.g, &scaled, &(faer::Scale(level * level) * &normal.inner))?;
         let gain = normal.g[(last, last)] - left[(last, last)];
-        Some(Shared { nll: normal.nll + 0.5 * ln_determinant - 0.5 * gain, g: left })
+        Some(Shared {
+            nll: normal.nll + 0.5 * ln_determinant - 0.5 * gain,
+            g: self.with_strength(&left, normal.strength),
+        })
+    }
+
+    /// Normal equations of a record in a and γ of (1): its coefficients are a + t W γ.
+    fn with_strength(&self, g: &Mat<f64>, strength: f64) -> Mat<f64> {
+        let (m, w, n) = (self.len(), self.wide.ncols(), g.nrows());
+        let cross = faer::Scale(strength) * (self.wide.transpose() * g.subrows(0, m));
+        let inner = faer::Scale(strength) * (cross.subcols(0, m) * &self.wide);
+        let source = |i: usize| if i < m { i } else { i - w };
+        Mat::from_fn(n + w, n + w, |i, j| match ((m..m + w).contains(&i), (m..m + w).contains(&j)) {
+            (false, false) => g[(source(i), source(j))],
+            (true, false) => cross[(i - m, source(j))],
+            (false, true) => cross[(j - m, source(i))],
+            (true, true) => inner[(i - m, j - m)],
+        })
+    }
+
+    /// Number of coefficients that all records share: a and γ.
+    fn len_shared(&self) -> usize {
+        self.len() + self.wide.ncols()
     }
 
     /// Normal equations of whatever is beside the discrepancy, all of that marginalised, and −ln of the likelihood.
     pub fn without_shared(&self, shared: &Shared, levels: Levels) -> Option<Shared> {
-        let (m, n) = (self.len(), shared.g.nrows());
+        let (m, n) = (self.len_shared(), shared.g.nrows());
         let l = self.root(levels)?;
         let cross = l.transpose() * shared.g.submatrix(0, m, m, n - m);
         let inner = l.transpose() * shared.g.submatrix(0, 0, m, m) * &l;
@@ -206,40 +250,45 @@ impl Discrepancy {
     fn root(&self, levels: Levels) -> Option<Mat<f64>> {
         let [wide, narrow] = [levels.wide, levels.narrow].map(|l| (2.0 * l).exp());
         let mut k = faer::Scale(wide) * (&self.wide * self.wide.transpose());
-        let n_hat = self.len() - self.n_convention;
-        (0..self.len()).for_each(|i| k[(i, i)] += if i < n_hat { narrow } else { 1.0 });
-        k.llt(Side::Lower).ok().map(|f| f.L().to_owned())
+        let (m, n_hat) = (self.len(), self.len() - self.n_convention);
+        (0..m).for_each(|i| k[(i, i)] += if i < n_hat { narrow } else { 1.0 });
+        let factor = k.llt(Side::Lower).ok()?;
+        let own = levels.own.exp();
+        let n = self.len_shared();
+        Some(Mat::from_fn(n, n, |i, j| match (i < m, j < m) {
+            (true, true) if j <= i => factor.L()[(i, j)],
+            (false, false) if i == j => own,
+            _ => 0.0,
+        }))
     }
 
-    /// Posterior mean of the coefficients: what all records share, and with that of each record.
-    pub fn mean(&self, normals: &[Normal], levels: Levels) -> Option<(Vec<f64>, Vec<Vec<f64>>)> {
-        let m = self.len();
-        let mut sum = Mat::<f64>::zeros(m, m);
-        let mut right = vec![0.0; m];
-        for normal in normals {
-            let left = self.without_own(normal, levels)?.g;
-            let last = left.nrows() - 1;
-            sum += left.submatrix(0, 0, m, m);
-            right.iter_mut().enumerate().for_each(|(i, r)| *r += left[(i, last)]);
-        }
+    /// Posterior mean of the coefficients.
+    pub fn mean(&self, normals: &[Normal], levels: Levels) -> Option<Mean> {
+        let (m, n) = (self.len(), self.len_shared());
+        let shared = self.summed(normals, levels)?.g;
+        let last = shared.nrows() - 1;
         let l = self.root(levels)?;
-        let mut inner = l.transpose() * &sum * &l;
-        (0..m).for_each(|i| inner[(i, i)] += 1.0);
-        let side: Vec<f64> = (0..m).map(|i| (i..m).map(|j| l[(j, i)] * right[j]).sum()).collect();
+        let mut inner = l.transpose() * shared.submatrix(0, 0, n, n) * &l;
+        (0..n).for_each(|i| inner[(i, i)] += 1.0);
+        let side: Vec<f64> = (0..n).map(|i| (i..n).map(|j| l[(j, i)] * shared[(j, last)]).sum()).collect();
         let z = solved(&inner, &side)?;
-        let a: Vec<f64> = (0..m).map(|i| (0..=i).map(|j| l[(i, j)] * z[j]).sum()).collect();
+        let all: Vec<f64> = (0..n).map(|i| (0..=i).map(|j| l[(i, j)] * z[j]).sum()).collect();
+        let (a, trend) = all.split_at(m);
+        let widened = |i: usize, x: &[f64]| x.iter().enumerate().map(|(j, x)| self.wide[(i, j)] * x).sum::<f64>();
+        let repeatable: Vec<Vec<f64>> =
+            normals.iter().map(|r| (0..m).map(|i| a[i] + r.strength * widened(i, trend)).collect()).collect();
         let level = levels.own.exp();
-        let of = |normal: &Normal| -> Option<Vec<f64>> {
+        let of = |(normal, a): (&Normal, &Vec<f64>)| -> Option<Vec<f64>> {
             let (n_wide, last) = (self.wide.ncols(), normal.g.nrows() - 1);
             let rest = |i: usize| normal.cross[(i, last)] - (0..m).map(|j| normal.cross[(i, j)] * a[j]).sum::<f64>();
             let side: Vec<f64> = (0..n_wide).map(|i| level * rest(i)).collect();
             let mut inner = faer::Scale(level * level) * &normal.inner;
             (0..n_wide).for_each(|i| inner[(i, i)] += 1.0);
-            let z = solved(&inner, &side)?;
-            Some((0..m).map(|i| a[i] + level * (0..n_wide).map(|j| self.wide[(i, j)] * z[j]).sum::<f64>()).collect())
+            let own: Vec<f64> = solved(&inner, &side)?.into_iter().map(|z| level * z).collect();
+            Some((0..m).map(|i| a[i] + widened(i, &own)).collect())
         };
-        let all = normals.iter().map(of).collect::<Option<_>>()?;
-        Some((a, all))
+        let whole = normals.iter().zip(&repeatable).map(of).collect::<Option<_>>()?;
+        Some(Mean { shared: a.to_vec(), repeatable, whole })
     }
 
     /// Score of each event in what is beside the discrepancy, that of the discrepancy eliminated; `shared` are records without what each
@@ -252,7 +301,7 @@ impl Discrepancy {
     /// a is the posterior mean of what all records share, K its prior covariance; Σ_e u_e and what the prior of a pulls, B K⁻¹ a, are the
     /// slope of the marginal likelihood.
     pub fn scores(&self, shared: &[Shared], groups: &[usize], levels: Levels) -> Option<Vec<Vec<f64>>> {
-        let (m, n) = (self.len(), shared.first()?.g.nrows());
+        let (m, n) = (self.len_shared(), shared.first()?.g.nrows());
         let mut sum = Mat::<f64>::zeros(n, n);
         shared.iter().for_each(|s| sum += &s.g);
         let l = self.root(levels)?;
@@ -322,6 +371,8 @@ impl Discrepancy {
 mod tests {
     use super::*;
 
+    const STRENGTHS: [f64; 4] = [-1.0, 0.3, 0.0, 1.4];
+
     fn levels() -> Levels {
         Levels { wide: 0.3f64.ln(), narrow: 0.2f64.ln(), own: 0.4f64.ln() }
     }
@@ -331,7 +382,7 @@ mod tests {
         let n = discrepancy.len() + 3;
         let rows =
             |r: usize| Mat::from_fn(40, n, move |i, j| (((r + 1) * 7 * i + (3 + r) * j * j + i * j) as f64).sin());
-        (0..4).map(|r| discrepancy.normal(rows(r).transpose() * rows(r), 0.0)).collect()
+        (0..4).map(|r| discrepancy.normal(rows(r).transpose() * rows(r), 0.0, STRENGTHS[r])).collect()
     }
 
     #[test]
@@ -343,10 +394,11 @@ mod tests {
         let root = discrepancy.root(levels()).unwrap();
         let shared = &root * root.transpose();
         let own = faer::Scale((2.0 * levels().own).exp()) * (&discrepancy.wide * discrepancy.wide.transpose());
+        // What goes with strength goes together in all records.
         let prior = Mat::from_fn(5 * m, 5 * m, |i, j| match (i / m, j / m) {
             (0, 0) => shared[(i, j)],
-            (a, b) if a == b => own[(i % m, j % m)],
-            _ => 0.0,
+            (0, _) | (_, 0) => 0.0,
+            (a, b) => own[(i % m, j % m)] * (STRENGTHS[a - 1] * STRENGTHS[b - 1] + f64::from(u8::from(a == b))),
         });
         let mut whole = Mat::<f64>::zeros(5 * m, 5 * m);
         let mut cross = Mat::<f64>::zeros(5 * m, 3);
@@ -385,7 +437,7 @@ mod tests {
         let slope = discrepancy.without_shared(&sum, levels()).unwrap().g;
         assert_eq!(scores.len(), 3);
         // B K⁻¹ a by dense inverses.
-        let m = discrepancy.len();
+        let m = discrepancy.len_shared();
         let root = discrepancy.root(levels()).unwrap();
         let inverse = super::super::algebra::inverse(&(&root * root.transpose())).unwrap();
         let whole = sum.g.submatrix(0, 0, m, m) + &inverse;
@@ -420,14 +472,14 @@ mod tests {
                     (false, true) => precision * seen[i],
                     _ => precision * f64::from(u8::from(i == j)),
                 });
-                discrepancy.normal(g, 0.0)
+                discrepancy.normal(g, 0.0, 0.0)
             })
             .collect();
         let found = discrepancy.tuned(&normals, discrepancy.usual());
         for (found, truth) in [(found.wide, truth.wide), (found.narrow, truth.narrow), (found.own, truth.own)] {
             assert!((found - truth).abs() < 0.4, "{} {}", found.exp(), truth.exp());
         }
-        let (mean, _) = discrepancy.mean(&normals, found).unwrap();
+        let mean = discrepancy.mean(&normals, found).unwrap().shared;
         let error: f64 = mean.iter().zip(&shared).map(|(a, b)| (a - b).powi(2)).sum();
         assert!(error < 0.1 * shared.iter().map(|s| s * s).sum::<f64>());
     }

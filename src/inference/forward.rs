@@ -106,6 +106,15 @@ impl<'a> Forward<'a> {
         })
     }
 
+    /// Peak of what the input sensor recorded, by record, m/s².
+    pub fn peaks_m_s2(&self) -> Vec<f64> {
+        let of = |at: &At| {
+            let event = &self.problem.events[self.groups[at.group].records[at.record].event];
+            event.input.iter().fold(0.0f64, |most, a| most.max(a.abs()))
+        };
+        self.records.iter().map(of).collect()
+    }
+
     fn spectra_of(&self, motions: Motions) -> Result<Vec<Bins>> {
         let of = |at: &At| {
             let record = &self.groups[at.group].records[at.record];

@@ -1,7 +1,7 @@
 //! The likelihood of records given a prediction: a field that is partly coherent, noisy sensors, and a column that is never exact.
 
 use super::covariance::Covariance;
-use super::discrepancy::{Discrepancy, Levels, Normal, Shared, hat};
+use super::discrepancy::{Discrepancy, Levels, Mean, Normal, Shared, hat, strengths};
 use super::forward::{At, Bins, Forward, Predicted, Prediction};
 use crate::numerics::smooth::running_mean;
 use faer::linalg::solvers::Solve;
@@ -69,6 +69,8 @@ pub struct Likelihood<'a> {
     forward: &'a Forward<'a>,
     band_hz: [f64; 2],
     discrepancy: Discrepancy,
+    /// Strength of the motion of each record, [`strengths`].
+    strengths: Vec<f64>,
     /// What other conventions of the column add, see [`Discrepancy`].
     conventions: Vec<Slope>,
     /// Expected |noise|² of each bin before its factor, `[record][sensor][bin]`, the input sensor first.
@@ -177,6 +179,7 @@ impl<'a> Likelihood<'a> {
         };
         Self {
             discrepancy: Discrepancy::new(band_hz, forward.problem.array.outputs.len(), conventions.len(), least),
+            strengths: strengths(&forward.peaks_m_s2()),
             conventions,
             noise: forward.records.iter().map(noise).collect(),
             noise_ln: NOISE_LN[usize::from(!is_noise_known)],
@@ -309,7 +312,7 @@ impl<'a> Likelihood<'a> {
             }
             first += count;
         }
-        self.discrepancy.normal(g, nll)
+        self.discrepancy.normal(g, nll, self.strengths[index])
     }
 
     fn normals(&self, prediction: &Prediction, slopes: &[Slope], hyper: &Hyper) -> Vec<Normal> {
@@ -371,8 +374,8 @@ impl<'a> Likelihood<'a> {
         for _ in 0..rounds {
             // What strays from bin to bin first: a smooth discrepancy must not stand in for it.
             let normals = self.normals(prediction, &[], &hyper);
-            let Some((_, mean)) = self.discrepancy.mean(&normals, hyper.levels) else { break };
-            self.tune_covariance(prediction, &mean, &mut hyper);
+            let Some(mean) = self.discrepancy.mean(&normals, hyper.levels) else { break };
+            self.tune_covariance(prediction, &mean.whole, &mut hyper);
         }
         let normals = self.normals(prediction, &[], &hyper);
         hyper.levels = self.discrepancy.tuned(&normals, hyper.levels);
@@ -503,11 +506,12 @@ impl<'a> Likelihood<'a> {
     pub fn shares_of_power(&self, prediction: &Prediction, hyper: &Hyper) -> Vec<Vec<[f64; 4]>> {
         let normals = self.normals(prediction, &[], hyper);
         let n = self.forward.records.len();
-        let nothing = || (vec![0.0; self.discrepancy.len()], vec![vec![0.0; self.discrepancy.len()]; n]);
-        let (shared, whole) = self.discrepancy.mean(&normals, hyper.levels).unwrap_or_else(nothing);
+        let zero = || vec![0.0; self.discrepancy.len()];
+        let nothing = || Mean { shared: zero(), repeatable: vec![zero(); n], whole: vec![zero(); n] };
+        let mean = self.discrepancy.mean(&normals, hyper.levels).unwrap_or_else(nothing);
         let power = |x: &[C64]| x.iter().map(C64::norm_sqr).sum::<f64>();
         let of = |i: usize| -> Vec<[f64; 4]> {
-            let [both, shared] = [&whole[i], &shared].map(|c| self.added(i, &prediction[i], c));
+            let [both, shared] = [&mean.whole[i], &mean.repeatable[i]].map(|c| self.added(i, &prediction[i], c));
             let one = |s: usize| {
                 let own: Vec<C64> = both[s].iter().zip(&shared[s]).map(|(a, b)| a - b).collect();
                 let p = &prediction[i];
@@ -522,8 +526,8 @@ impl<'a> Likelihood<'a> {
     /// What all records share of the discrepancy of sensor `s`: frequency of its knots in Hz, real and imaginary part.
     pub fn shared_discrepancy(&self, prediction: &Prediction, hyper: &Hyper) -> Vec<Vec<[f64; 3]>> {
         let normals = self.normals(prediction, &[], hyper);
-        let Some((shared, _)) = self.discrepancy.mean(&normals, hyper.levels) else { return Vec::new() };
-        (0..self.n_sensor()).map(|s| self.discrepancy.at_knots(s, &shared)).collect()
+        let Some(mean) = self.discrepancy.mean(&normals, hyper.levels) else { return Vec::new() };
+        (0..self.n_sensor()).map(|s| self.discrepancy.at_knots(s, &mean.shared)).collect()
     }
 
     /// `hyper` as beside a model that lacks nothing: no more than the medians of their priors. What a candidate would explain must not

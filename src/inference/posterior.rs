@@ -13,6 +13,8 @@ use std::sync::Arc;
 const STEPS: usize = 24;
 /// Expected gain below which a fit has converged, nats.
 const CONVERGED: f64 = 0.1;
+/// Multiples of what a step is expected to gain that a whole fit may still gain.
+const HOPE: f64 = 4.0;
 /// Share of the expected gain that a step must bring for its slopes to be trusted again.
 const TRUSTED: f64 = 0.3;
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
@@ -37,6 +39,24 @@ pub struct Fit<'a> {
     pub reduced: Arc<Reduced>,
     /// −ln of the posterior density, constants apart.
     pub cost: f64,
+    /// Whether it was fitted to [`Stop::EXACT`].
+    pub is_exact: bool,
+}
+
+/// When a fit ends.
+#[derive(Debug, Clone, Copy)]
+pub struct Stop {
+    /// Expected gain below which it has converged, nats.
+    pub gain: f64,
+    /// Cost that it must be expected to reach within [`HOPE`] times the gain of its next step.
+    pub cost: f64,
+    /// Whether slopes are taken anew before it counts as converged.
+    pub is_exact: bool,
+}
+
+impl Stop {
+    /// At the most probable coordinates.
+    pub const EXACT: Self = Self { gain: CONVERGED, cost: f64::INFINITY, is_exact: true };
 }
 
 /// What fits models.
@@ -117,7 +137,7 @@ impl<'a> Fitter<'a> {
     }
 
     /// ½ of the squared distance from the means of the prior.
-    fn prior(model: &Model<'_>, x: &[f64]) -> f64 {
+    pub fn prior(model: &Model<'_>, x: &[f64]) -> f64 {
         model.prior().iter().zip(x).map(|([mean, sd], x)| 0.5 * ((x - mean) / sd).powi(2)).sum()
     }
 
@@ -125,7 +145,7 @@ impl<'a> Fitter<'a> {
     ///
     /// # Errors
     /// When the column cannot be replayed at the start.
-    pub fn fit(&self, start: Start<'a>) -> Result<Fit<'a>> {
+    pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
         let Start { model, mut x, hyper, slopes: known } = start;
         let mut prediction = self.predict(&model, &x)?;
         let mut hyper = self.likelihood.tuned(&prediction, &hyper, 8);
@@ -136,8 +156,11 @@ impl<'a> Fitter<'a> {
             let Some(reduced) = self.likelihood.at(&prediction, &slopes, &hyper) else { break };
             let cost = reduced.nll + Self::prior(&model, &x);
             let (to, expected) = step(&model, &x, &reduced, radius);
-            if expected < CONVERGED {
-                if is_fresh {
+            if cost - HOPE * expected > stop.cost {
+                break;
+            }
+            if expected < stop.gain {
+                if is_fresh || !stop.is_exact {
                     break;
                 }
                 slopes = self.all_slopes(&model, &x, &prediction, &[]);
@@ -174,7 +197,9 @@ impl<'a> Fitter<'a> {
             }
         }
         let hyper = self.likelihood.tuned(&prediction, &hyper, 2);
-        self.assembled(model, x, hyper, prediction, slopes)
+        let mut fit = self.assembled(model, x, hyper, prediction, slopes)?;
+        fit.is_exact = stop.is_exact;
+        Ok(fit)
     }
 
     /// The fit with slopes taken right beside it, and one more round from there.
@@ -182,18 +207,8 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// As [`Self::fit`].
     pub fn settled(&self, fit: &Fit<'a>) -> Result<Fit<'a>> {
-        self.fit(Start { model: fit.model.clone(), x: fit.x.clone(), hyper: fit.hyper.clone(), slopes: Vec::new() })
-    }
-
-    /// `model` at the means of its prior, with hyperparameters at theirs.
-    ///
-    /// # Errors
-    /// When the column cannot be replayed.
-    pub fn unfitted(&self, model: Model<'a>) -> Result<Fit<'a>> {
-        let x: Vec<f64> = model.prior().iter().map(|[mean, _]| *mean).collect();
-        let prediction = self.predict(&model, &x)?;
-        let slopes = self.all_slopes(&model, &x, &prediction, &[]);
-        self.assembled(model, x, self.likelihood.start(), prediction, slopes)
+        let (model, x, hyper) = (fit.model.clone(), fit.x.clone(), fit.hyper.clone());
+        self.fit(Start { model, x, hyper, slopes: Vec::new() }, Stop::EXACT)
     }
 
     fn assembled(
@@ -209,7 +224,7 @@ impl<'a> Fitter<'a> {
             .at(&prediction, &slopes, &hyper)
             .ok_or_else(|| crate::error::Error::new("the likelihood is out of range"))?;
         let cost = reduced.nll + Self::prior(&model, &x);
-        Ok(Fit { model, x, hyper, prediction, slopes, reduced: Arc::new(reduced), cost })
+        Ok(Fit { model, x, hyper, prediction, slopes, reduced: Arc::new(reduced), cost, is_exact: false })
     }
 }
 
@@ -398,7 +413,7 @@ mod tests {
         with(problem, kinds, |fitter, model| {
             let x = model.prior().iter().map(|[mean, _]| *mean).collect();
             let hyper = fitter.likelihood.start();
-            let fit = fitter.fit(Start { model, x, hyper, slopes: Vec::new() }).unwrap();
+            let fit = fitter.fit(Start { model, x, hyper, slopes: Vec::new() }, Stop::EXACT).unwrap();
             use_of(&fit, fitter.likelihood)
         })
     }
