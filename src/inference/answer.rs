@@ -111,16 +111,17 @@ pub fn compete(
     let forward = Forward::new(problem, replay, settings)?;
     let likelihood = Likelihood::new(&forward, conventions(&forward, settings, &[])?);
     let declared = Declared::new(problem)?;
-    let fitter = || Fitter { forward: &forward, likelihood: &likelihood };
-    let start = fit_declared(&fitter(), &declared)?;
+    let fitter = Fitter { forward: &forward, likelihood: &likelihood, design_effect: 1.0 };
+    let start = fit_declared(&fitter, &declared)?;
     progress.note(&format!("recalibrated: ln evidence {:.1}, {} replays", start.log_evidence(1.0), forward.replays()));
     // What few elements leave wrong is taken out where it matters.
     let tables = start.model.tables(&start.x);
     forward.anchor(&tables)?;
     let likelihood = Likelihood::new(&forward, conventions(&forward, settings, &tables)?);
-    let fitter = || Fitter { forward: &forward, likelihood: &likelihood };
-    let start = fitter().settled(&start)?;
-    let mut competition = Competition::new(fitter(), start, settings.max_effects);
+    let design_effect = start.design_effect(&likelihood);
+    let fitter = Fitter { forward: &forward, likelihood: &likelihood, design_effect };
+    let start = fitter.settled(&start)?;
+    let mut competition = Competition::new(fitter, start, settings.max_effects);
     competition.run(progress)?;
     progress.note(&format!("{} replays", forward.replays()));
     let declared_error = forward.predict(&[])?;
@@ -234,7 +235,7 @@ impl Answer<'_, '_> {
             repeatable_share: repeatable,
             coherence: coherence.collect(),
             place: outputs.iter().cloned().zip(discrepancy).collect(),
-            design_effect: self.competition.design_effect,
+            design_effect: self.competition.design_effect(),
             levels: [levels.wide, levels.narrow, levels.own].map(f64::exp),
             noise: fit.hyper.ln_noise.iter().map(|n| n.exp()).collect(),
         }
@@ -242,7 +243,7 @@ impl Answer<'_, '_> {
 
     /// Named effects; an interval is that of the curvature or of leaving one event out, whichever is wider.
     fn found(&self, fit: &Fit<'_>) -> Vec<Named> {
-        let spread = spread(fit, self.likelihood, self.competition.design_effect);
+        let spread = spread(fit, self.likelihood, self.competition.design_effect());
         let of = |(index, instance): (usize, &effects::Instance)| {
             let start = fit.model.start(index);
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
@@ -267,7 +268,7 @@ impl Answer<'_, '_> {
 fn spread(fit: &Fit<'_>, likelihood: &Likelihood<'_>, design_effect: f64) -> Vec<f64> {
     let n = fit.x.len();
     let covariance = fit.covariance(design_effect);
-    let left_out = fit.without_each_event(likelihood);
+    let left_out = fit.without_each_event(likelihood, design_effect);
     let e = left_out.len() as f64;
     (0..n)
         .map(|i| {

@@ -18,8 +18,10 @@ use std::collections::BTreeMap;
 
 /// Kinds that are fitted around one model, alone and in pairs.
 const KINDS: usize = 4;
-/// ln of the evidence that a candidate may fall short of what is declared by to be fitted.
-const PROMISING: f64 = -3.0;
+/// Steps of the first fits from a point, and of those that go on; how many go on.
+const HEAT: usize = 4;
+const STEPS: usize = 24;
+const FINALS: usize = 4;
 /// Expected gain in ln of the evidence below which a fit of the search has converged.
 const CONVERGED: f64 = 0.3;
 /// ln of the odds against the best within which models are fitted exactly at the end.
@@ -34,7 +36,7 @@ const PAIRS: usize = 8;
 /// Farthest strength along a direction, in that of its node.
 const FARTHEST: f64 = 3.0;
 /// Shares of the way to where the linear problem puts a set at which its fit may start.
-const SHARES: [f64; 4] = [1.0, 0.6, 0.3, 0.1];
+const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// Most rounds of the competition.
 const ROUNDS: usize = 8;
 /// Sizes of a strength at which a candidate is tried, in typical sizes: by replay where all are, by replay where few are, and by a
@@ -63,7 +65,8 @@ struct Direction {
 struct Proposal {
     /// Effects, and coordinates to start from.
     parts: Vec<(Instance, Vec<f64>)>,
-    /// What the coordinates of the model move beside them.
+    /// Coordinates of the model at the point from which they are proposed, and what these move beside them.
+    from: Vec<f64>,
     beside: Vec<f64>,
     log_evidence: f64,
 }
@@ -84,8 +87,6 @@ pub struct Competition<'a> {
     /// ln of the prior of an effect at a place, by kind.
     ln_place: BTreeMap<&'static str, f64>,
     max_effects: usize,
-    /// How many times less the records say than the likelihood makes of them, [`Fit::design_effect`].
-    pub design_effect: f64,
     /// Everything that was fitted, what is declared first.
     pub fits: Vec<Fit<'a>>,
     expanded: Vec<Vec<Instance>>,
@@ -106,7 +107,6 @@ impl<'a> Competition<'a> {
             instances,
             ln_place,
             max_effects,
-            design_effect: 1.0,
             fits: vec![declared],
             expanded: Vec::new(),
             known_directions: Default::default(),
@@ -116,7 +116,12 @@ impl<'a> Competition<'a> {
     /// ln of the posterior of a fitted model up to a constant.
     pub fn log_posterior(&self, fit: &Fit<'_>) -> f64 {
         let places: f64 = fit.model.effects.iter().map(|e| self.ln_place.get(e.kind).copied().unwrap_or(-10.0)).sum();
-        fit.log_evidence(self.design_effect) + places + fit.model.effects.len() as f64 * ONE_MORE.ln()
+        fit.log_evidence(self.design_effect()) + places + fit.model.effects.len() as f64 * ONE_MORE.ln()
+    }
+
+    /// How many times less the records say than the likelihood makes of them.
+    pub fn design_effect(&self) -> f64 {
+        self.fitter.design_effect
     }
 
     /// The most probable model.
@@ -134,9 +139,8 @@ impl<'a> Competition<'a> {
     /// # Errors
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
-        self.design_effect = self.fits[0].design_effect(self.fitter.likelihood);
         for _ in 0..ROUNDS {
-            self.design_effect = self.best().design_effect(self.fitter.likelihood);
+            self.renew_design_effect();
             let best = self.best().clone();
             let mut open = vec![best.model.effects.clone()];
             for left_out in 0..best.model.effects.len() {
@@ -158,6 +162,11 @@ impl<'a> Competition<'a> {
         self.settle()
     }
 
+    /// The design effect is that beside the best model.
+    fn renew_design_effect(&mut self) {
+        self.fitter.design_effect = self.best().design_effect(self.fitter.likelihood);
+    }
+
     /// Fits exactly whatever is close to the best.
     fn settle(&mut self) -> Result<()> {
         loop {
@@ -165,7 +174,7 @@ impl<'a> Competition<'a> {
             let is_open = |f: &Fit<'a>| !f.is_exact && self.log_posterior(f) > highest - CLOSE;
             let Some(open) = self.fits.iter().position(is_open) else { return Ok(()) };
             self.fits[open] = self.fitter.settled(&self.fits[open])?;
-            self.design_effect = self.best().design_effect(self.fitter.likelihood);
+            self.renew_design_effect();
         }
     }
 
@@ -182,7 +191,7 @@ impl<'a> Competition<'a> {
         let x = (0..fit.x.len()).filter(kept).map(|i| fit.x[i]).collect();
         let slopes = (0..fit.x.len()).filter(kept).map(|i| Some(fit.slopes[i].clone())).collect();
         let model = Model { declared: fit.model.declared, effects: effects.clone() };
-        let stop = Stop { gain: CONVERGED * self.design_effect, cost: f64::INFINITY, is_exact: false };
+        let stop = Stop { steps: STEPS, gain: CONVERGED, cost: f64::INFINITY, is_exact: false };
         let found = self.fitter.fit(Start { model, x, hyper: fit.hyper.clone(), slopes }, stop)?;
         self.fits.push(found);
         Ok(effects)
@@ -193,7 +202,10 @@ impl<'a> Competition<'a> {
         let Some(index) = self.known(&effects) else { return Ok(()) };
         self.expanded.push(effects.clone());
         let base = self.fits[index].clone();
-        let mut proposals = Vec::new();
+        let cost = base.cost(self.design_effect());
+        let known = self.log_posterior(self.best()) - self.log_posterior(&base);
+        let stop = Stop { steps: HEAT, gain: CONVERGED, cost: cost - HOPEFUL * known, is_exact: false };
+        let mut heats = Vec::new();
         for (i, point) in [base.clone(), self.relaxed(&base)?].iter().enumerate() {
             if self.known_directions[i].is_empty() {
                 let is_linear = |n: &Node| !n.at.is_empty() && !Forward::is_interference(&n.instance);
@@ -203,17 +215,11 @@ impl<'a> Competition<'a> {
                 nodes.dedup_by(|b, a| a.instance == b.instance && a.distance * b.distance < 0.0);
                 self.known_directions[i] = nodes.into_iter().filter_map(|node| self.direction(point, node)).collect();
             }
-            proposals.extend(self.proposals(point, &self.known_directions[i]));
+            let mut proposals = self.proposals(point, cost, &self.known_directions[i]);
+            proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
+            heats.extend(self.heats(&base, proposals, stop));
         }
-        proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
-        let known = self.log_posterior(self.best()) - self.log_posterior(&base);
-        proposals.retain(|p| p.log_evidence >= HOPEFUL * known);
-        let stop = Stop {
-            gain: CONVERGED * self.design_effect,
-            cost: base.cost - HOPEFUL * known * self.design_effect,
-            is_exact: false,
-        };
-        self.fit_chosen(&base, proposals, stop, progress);
+        self.finals(heats, Stop { steps: STEPS, ..stop }, progress);
         Ok(())
     }
 
@@ -230,44 +236,62 @@ impl<'a> Competition<'a> {
         is_replayed(instance, &self.fitter.forward.problem.array.input)
     }
 
-    fn fit_chosen(&mut self, base: &Fit<'a>, proposals: Vec<Proposal>, stop: Stop, progress: &dyn Progress) {
+    /// Fits of a few steps from each of `proposals`.
+    fn heats(&self, base: &Fit<'a>, proposals: Vec<Proposal>, stop: Stop) -> Vec<Fit<'a>> {
+        let mut found = Vec::new();
         for set in chosen(proposals) {
             let mut all = base.model.effects.clone();
             all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
             if all.len() > self.max_effects {
                 continue;
             }
-            let known = self.known(&all);
             let slopes = base.slopes.iter().cloned().map(Some).collect();
             let model = Model { declared: base.model.declared, effects: all };
             let x = self.started(base, &model, &set);
-            let Ok(found) = self.fitter.fit(Start { model, x, hyper: base.hyper.clone(), slopes }, stop) else {
-                continue;
-            };
-            let effects = 0..found.model.effects.len();
-            let named: Vec<String> =
-                effects.map(|i| found.model.effect_table(&found.x, i).to_string().replace('\n', ", ")).collect();
-            let gained = self.log_posterior(&found) - self.log_posterior(&self.fits[0]);
-            let levels = found.hyper.levels;
-            let levels = [levels.wide, levels.narrow, levels.own].map(|l| (l.exp() * 1e4).round() / 1e4);
-            progress.note(&format!(
-                "{}: ln odds {gained:+.1} against nothing missing; {levels:?}, design effect {:.2}; {} replays",
-                named.join(" + "),
-                found.design_effect(self.fitter.likelihood),
-                self.fitter.forward.replays()
-            ));
-            match known {
-                Some(i) if self.fits[i].cost <= found.cost => {}
+            found.extend(self.fitter.fit(Start { model, x, hyper: base.hyper.clone(), slopes }, stop));
+        }
+        found
+    }
+
+    /// Goes on with the best of `heats`.
+    fn finals(&mut self, mut heats: Vec<Fit<'a>>, stop: Stop, progress: &dyn Progress) {
+        heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+        let mut chosen: Vec<Fit<'a>> = Vec::new();
+        for heat in heats {
+            if chosen.len() < FINALS && !chosen.iter().any(|c| is_same_set(&c.model.effects, &heat.model.effects)) {
+                chosen.push(heat);
+            }
+        }
+        for Fit { model, x, hyper, slopes, .. } in chosen {
+            let slopes = slopes.into_iter().map(Some).collect();
+            let Ok(found) = self.fitter.fit(Start { model, x, hyper, slopes }, stop) else { continue };
+            progress.note(&self.described(&found));
+            match self.known(&found.model.effects) {
+                Some(i) if self.log_posterior(&self.fits[i]) >= self.log_posterior(&found) => {}
                 Some(i) => self.fits[i] = found,
                 None => self.fits.push(found),
             }
         }
     }
 
+    fn described(&self, fit: &Fit<'_>) -> String {
+        let table = |i: usize| fit.model.effect_table(&fit.x, i).to_string().replace('\n', ", ");
+        let named: Vec<String> = (0..fit.model.effects.len()).map(table).collect();
+        let gained = self.log_posterior(fit) - self.log_posterior(&self.fits[0]);
+        let levels = [fit.hyper.levels.wide, fit.hyper.levels.narrow, fit.hyper.levels.own];
+        format!(
+            "{}: ln odds {gained:+.1} against nothing missing; levels {:.4?}, design effect {:.2}; {} replays",
+            named.join("+ "),
+            levels.map(f64::exp),
+            fit.design_effect(self.fitter.likelihood),
+            self.fitter.forward.replays()
+        )
+    }
+
     /// Where to start a fit of `set` beside `base`: on the way to where the linear problem puts it, as far as the column agrees.
     fn started(&self, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
         let at = |share: f64| {
-            let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, d)| x + share * d).collect();
+            let mut x: Vec<f64> = set.from.iter().zip(&set.beside).map(|(x, d)| x + share * d).collect();
             for (instance, start) in &set.parts {
                 let zero = instance.zero().unwrap_or_default();
                 x.extend(zero.iter().zip(start).map(|(a, b)| a + share * (b - a)));
@@ -278,7 +302,9 @@ impl<'a> Competition<'a> {
         };
         let cost = |x: &Vec<f64>| {
             let found = self.fitter.forward.predict(&model.tables(x));
-            found.map_or(f64::INFINITY, |p| self.fitter.likelihood.nll(&p, &base.hyper))
+            found.map_or(f64::INFINITY, |p| {
+                self.fitter.likelihood.nll(&p, &base.hyper) / self.design_effect() + Fitter::prior(model, x)
+            })
         };
         let all: Vec<Vec<f64>> = SHARES.iter().map(|share| at(*share)).collect();
         let costs: Vec<f64> = all.iter().map(cost).collect();
@@ -317,8 +343,8 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// All candidates beside `base`, each at its best node; `known` are directions of those that are replayed, from another point.
-    fn proposals(&self, base: &Fit<'a>, known: &[Direction]) -> Vec<Proposal> {
+    /// All candidates beside `base`, each at its best node, against a `cost`; `known` are directions of those that are replayed, from another point.
+    fn proposals(&self, base: &Fit<'a>, cost: f64, known: &[Direction]) -> Vec<Proposal> {
         let mut proposals = Vec::new();
         let mut analytic = Vec::new();
         for node in self.nodes(base, |i| if self.is_replayed(i) { &[] } else { NODES[2] }) {
@@ -326,7 +352,7 @@ impl<'a> Competition<'a> {
                 let mut all = base.model.tables(&base.x);
                 all.push(node.instance.at(&node.at));
                 if let Ok(there) = self.fitter.forward.predict(&all) {
-                    proposals.extend(self.discrete(base, node, &there));
+                    proposals.extend(self.discrete(base, node, &there, cost));
                 }
                 continue;
             }
@@ -350,9 +376,9 @@ impl<'a> Competition<'a> {
         let kept = analytic.iter().filter(|d| promising.contains(&d.node.instance));
         let anew: Vec<&Direction> = renewed.iter().chain(kept).collect();
         let (singles, pairs) = self.linear(base, &anew);
-        proposals.extend(singles.iter().filter_map(|s| self.tuned(base, &[anew[s.index]])));
+        proposals.extend(singles.iter().filter_map(|s| self.tuned(base, &[anew[s.index]], cost)));
         if base.model.effects.len() + 2 <= self.max_effects {
-            proposals.extend(pairs.iter().filter_map(|pair| self.tuned(base, &pair.map(|i| anew[i]))));
+            proposals.extend(pairs.iter().filter_map(|pair| self.tuned(base, &pair.map(|i| anew[i]), cost)));
         }
         proposals
     }
@@ -367,7 +393,7 @@ impl<'a> Competition<'a> {
     }
 
     /// Candidates together by the linear prediction with hyperparameters of their own: what they explain is no discrepancy any more.
-    fn tuned(&self, base: &Fit<'a>, set: &[&Direction]) -> Option<Proposal> {
+    fn tuned(&self, base: &Fit<'a>, set: &[&Direction], against: f64) -> Option<Proposal> {
         let likelihood = self.fitter.likelihood;
         let slopes: Vec<Slope> = base.slopes.iter().cloned().chain(set.iter().map(|d| d.slope.clone())).collect();
         let prior = base.model.prior();
@@ -380,7 +406,7 @@ impl<'a> Competition<'a> {
         let mut hyper = likelihood.sharpened(&base.hyper);
         let (mut cost, mut occam) = (0.0, 0.0);
         for _ in 0..2 {
-            let reduced = likelihood.at(&prediction, &slopes, &hyper)?;
+            let reduced = likelihood.at(&prediction, &slopes, &hyper)?.thinned(self.design_effect());
             let held = |i: usize, step: f64| {
                 let Some(Direction { node, .. }) = i.checked_sub(n).and_then(|i| set.get(i)) else { return step };
                 let least = if node.is_one_sided { 0.0 } else { -FARTHEST };
@@ -397,7 +423,7 @@ impl<'a> Competition<'a> {
             z.iter_mut().zip(&step).for_each(|(z, d)| *z += d);
             hyper = likelihood.tuned(&prediction, &hyper, 2);
             let distance: f64 = z.iter().zip(&precision).map(|(z, p)| 0.5 * z * z * p).sum();
-            cost = likelihood.nll(&prediction, &hyper) + distance;
+            cost = likelihood.nll(&prediction, &hyper) / self.design_effect() + distance;
             occam = (n..z.len()).map(|i| -0.5 * (1.0 + reduced.g[(i, i)] / precision[i]).ln()).sum();
         }
         let place: f64 = set.iter().map(|d| self.prior_of(&d.node.instance)).sum();
@@ -408,18 +434,24 @@ impl<'a> Competition<'a> {
             (node.instance.clone(), start)
         };
         let beside = (0..n).map(|i| prior[i][0] + z[i] - base.x[i]).collect();
-        let log_evidence = (base.cost - cost) / self.design_effect + occam + place;
-        Some(Proposal { parts: set.iter().enumerate().map(part).collect(), beside, log_evidence })
+        let from = base.x.clone();
+        let log_evidence = against - cost + occam + place;
+        Some(Proposal { parts: set.iter().enumerate().map(part).collect(), from, beside, log_evidence })
     }
 
     /// A candidate that is either there or not, or that changes the records themselves.
-    fn discrete(&self, base: &Fit<'a>, node: Node, there: &Prediction) -> Option<Proposal> {
+    fn discrete(&self, base: &Fit<'a>, node: Node, there: &Prediction, against: f64) -> Option<Proposal> {
         let likelihood = self.fitter.likelihood;
         let hyper = likelihood.tuned(there, &base.hyper, 1);
-        let gained = base.cost - likelihood.nll(there, &hyper) - Fitter::prior(&base.model, &base.x);
+        let cost = likelihood.nll(there, &hyper) / self.design_effect() + Fitter::prior(&base.model, &base.x);
         let hidden = if node.at.is_empty() { 0.0 } else { self.fitter.forward.records.len() as f64 };
-        let log_evidence = (gained - hidden) / self.design_effect + self.prior_of(&node.instance);
-        Some(Proposal { parts: vec![(node.instance, node.at)], beside: vec![0.0; base.x.len()], log_evidence })
+        let log_evidence = against - cost - hidden / self.design_effect() + self.prior_of(&node.instance);
+        Some(Proposal {
+            parts: vec![(node.instance, node.at)],
+            from: base.x.clone(),
+            beside: vec![0.0; base.x.len()],
+            log_evidence,
+        })
     }
 
     fn prior_of(&self, instance: &Instance) -> f64 {
@@ -434,6 +466,7 @@ impl<'a> Competition<'a> {
         else {
             return (Vec::new(), Vec::new());
         };
+        let reduced = reduced.thinned(self.design_effect());
         let prior = base.model.prior();
         let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
         // The base is where its posterior is highest: beside it, only what the prior holds is added to the information.
@@ -450,8 +483,7 @@ impl<'a> Competition<'a> {
             let (a, b) = (left[(index, index)], left[(index, last)]);
             let total = a + node.distance * node.distance;
             let share = held(node, b / total);
-            let gain = (b * share - 0.5 * total * share * share) / self.design_effect
-                - 0.5 * (total / (node.distance * node.distance)).ln();
+            let gain = b * share - 0.5 * total * share * share - 0.5 * (total / (node.distance * node.distance)).ln();
             let found = Linear { index, share, log_evidence: gain + self.prior_of(&node.instance) };
             match best.iter_mut().find(|p| nodes[p.index].node.instance == node.instance) {
                 Some(known) if known.log_evidence >= found.log_evidence => {}
@@ -475,7 +507,7 @@ impl<'a> Competition<'a> {
                 let linear = e * shares[0] + f * shares[1];
                 let square = a * shares[0] * shares[0] + d * shares[1] * shares[1] + 2.0 * c * shares[0] * shares[1];
                 let occam = 0.5 * (determinant / (p.distance * q.distance).powi(2)).ln();
-                pairs.push((pair, (linear - 0.5 * square) / self.design_effect - occam));
+                pairs.push((pair, linear - 0.5 * square - occam));
             }
         }
         pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
@@ -555,7 +587,7 @@ fn chosen(proposals: Vec<Proposal>) -> Vec<Proposal> {
         let mut kinds: Vec<&'static str> = proposal.parts.iter().map(|(i, _)| i.kind).collect();
         kinds.sort_unstable();
         let count = sets.iter().filter(|s: &&Proposal| s.parts.len() == proposal.parts.len()).count();
-        if proposal.log_evidence >= PROMISING && count < KINDS && !known.contains(&kinds) {
+        if count < KINDS && !known.contains(&kinds) {
             known.push(kinds);
             sets.push(proposal);
         }

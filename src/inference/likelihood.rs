@@ -50,6 +50,13 @@ pub struct Reduced {
     pub nll: f64,
 }
 
+impl Reduced {
+    /// Those of records that say `design_effect` times less.
+    pub fn thinned(&self, design_effect: f64) -> Self {
+        Self { g: faer::Scale(1.0 / design_effect) * &self.g, nll: self.nll / design_effect }
+    }
+}
+
 /// Records of a problem with what their likelihood needs.
 ///
 /// ```text

@@ -14,7 +14,7 @@ const STEPS: usize = 24;
 /// Expected gain below which a fit has converged, nats.
 const CONVERGED: f64 = 0.1;
 /// Multiples of what a step is expected to gain that a whole fit may still gain.
-const HOPE: f64 = 4.0;
+const HOPE: f64 = 2.0;
 /// Share of the expected gain that a step must bring for its slopes to be trusted again.
 const TRUSTED: f64 = 0.3;
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
@@ -37,8 +37,6 @@ pub struct Fit<'a> {
     pub slopes: Vec<Slope>,
     /// Normal equations there.
     pub reduced: Arc<Reduced>,
-    /// −ln of the posterior density, constants apart.
-    pub cost: f64,
     /// Whether it was fitted to [`Stop::EXACT`].
     pub is_exact: bool,
 }
@@ -46,7 +44,9 @@ pub struct Fit<'a> {
 /// When a fit ends.
 #[derive(Debug, Clone, Copy)]
 pub struct Stop {
-    /// Expected gain below which it has converged, nats.
+    /// Most steps.
+    pub steps: usize,
+    /// Expected gain below which it has converged, in ln of the posterior density.
     pub gain: f64,
     /// Cost that it must be expected to reach within [`HOPE`] times the gain of its next step.
     pub cost: f64,
@@ -56,7 +56,7 @@ pub struct Stop {
 
 impl Stop {
     /// At the most probable coordinates.
-    pub const EXACT: Self = Self { gain: CONVERGED, cost: f64::INFINITY, is_exact: true };
+    pub const EXACT: Self = Self { steps: STEPS, gain: CONVERGED, cost: f64::INFINITY, is_exact: true };
 }
 
 /// What fits models.
@@ -65,6 +65,8 @@ pub struct Fitter<'a> {
     pub forward: &'a Forward<'a>,
     /// The likelihood.
     pub likelihood: &'a Likelihood<'a>,
+    /// How many times less the records say than the likelihood makes of them, [`Fit::design_effect`].
+    pub design_effect: f64,
 }
 
 /// Where a fit starts.
@@ -152,14 +154,17 @@ impl<'a> Fitter<'a> {
         let mut is_fresh = known.iter().all(Option::is_none);
         let mut slopes = self.all_slopes(&model, &x, &prediction, &known);
         let mut radius = RADIUS[0];
-        for _ in 0..STEPS {
+        for _ in 0..stop.steps {
             let Some(reduced) = self.likelihood.at(&prediction, &slopes, &hyper) else { break };
+            let reduced = reduced.thinned(self.design_effect);
             let cost = reduced.nll + Self::prior(&model, &x);
             let (to, expected) = step(&model, &x, &reduced, radius);
-            if cost - HOPE * expected > stop.cost {
+            // What is left to gain is not what a short step gains.
+            let (_, whole) = step(&model, &x, &reduced, f64::INFINITY);
+            if cost - HOPE * whole > stop.cost {
                 break;
             }
-            if expected < stop.gain {
+            if whole < stop.gain {
                 if is_fresh || !stop.is_exact {
                     break;
                 }
@@ -169,7 +174,7 @@ impl<'a> Fitter<'a> {
             }
             let found = self.predict(&model, &to).ok();
             let new = found.as_ref().map_or(f64::INFINITY, |p| {
-                self.likelihood.nll_beside(p, &prediction, &hyper) + Self::prior(&model, &to)
+                self.likelihood.nll_beside(p, &prediction, &hyper) / self.design_effect + Self::prior(&model, &to)
             });
             let ratio = (cost - new) / expected;
             if let Some(found) = &found {
@@ -223,15 +228,19 @@ impl<'a> Fitter<'a> {
             .likelihood
             .at(&prediction, &slopes, &hyper)
             .ok_or_else(|| crate::error::Error::new("the likelihood is out of range"))?;
-        let cost = reduced.nll + Self::prior(&model, &x);
-        Ok(Fit { model, x, hyper, prediction, slopes, reduced: Arc::new(reduced), cost, is_exact: false })
+        Ok(Fit { model, x, hyper, prediction, slopes, reduced: Arc::new(reduced), is_exact: false })
     }
 }
 
 impl Fit<'_> {
     /// Posterior covariance of the coordinates by the curvature of the cost, of records that say `design_effect` times less.
     pub fn covariance(&self, design_effect: f64) -> Option<Mat<f64>> {
-        inverse(&information(&self.model, &(faer::Scale(1.0 / design_effect) * &self.reduced.g)))
+        inverse(&information(&self.model, &self.reduced.thinned(design_effect).g))
+    }
+
+    /// −ln of the posterior density of records that say `design_effect` times less, constants apart.
+    pub fn cost(&self, design_effect: f64) -> f64 {
+        self.reduced.nll / design_effect + Fitter::prior(&self.model, &self.x)
     }
 
     /// How many times less its records say than the likelihood makes of them, by what events disagree about: 1 where they scatter as
@@ -266,15 +275,14 @@ impl Fit<'_> {
 
     /// ln of the evidence of records that say `design_effect` times less, see [`Self::design_effect`].
     pub fn log_evidence(&self, design_effect: f64) -> f64 {
-        let prior = Fitter::prior(&self.model, &self.x);
-        let occam = occam(&self.model, &self.x, &(faer::Scale(1.0 / design_effect) * &self.reduced.g));
-        -(self.cost - prior) / design_effect - prior + occam
+        occam(&self.model, &self.x, &self.reduced.thinned(design_effect).g) - self.cost(design_effect)
     }
 
     /// Coordinates when each event in turn is left out, by one step from here.
-    pub fn without_each_event(&self, likelihood: &Likelihood<'_>) -> Vec<Vec<f64>> {
+    pub fn without_each_event(&self, likelihood: &Likelihood<'_>, design_effect: f64) -> Vec<Vec<f64>> {
         let (n, prior) = (self.x.len(), self.model.prior());
         let of = |left: &Reduced| {
+            let left = left.thinned(design_effect);
             let side: Vec<f64> =
                 (0..n).map(|i| left.g[(i, n)] - (self.x[i] - prior[i][0]) / prior[i][1].powi(2)).collect();
             let step = solved(&information(&self.model, &left.g), &side)?;
@@ -406,7 +414,7 @@ mod tests {
         let all = effects::instances(&problem.array);
         let of = |kind: &&str| all.iter().find(|i| i.kind == *kind).unwrap().clone();
         let model = Model { declared: &declared, effects: kinds.iter().map(of).collect() };
-        use_of(&Fitter { forward: &forward, likelihood: &likelihood }, model)
+        use_of(&Fitter { forward: &forward, likelihood: &likelihood, design_effect: 1.0 }, model)
     }
 
     fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl FnOnce(&Fit<'_>, &Likelihood<'_>) -> T) -> T {
@@ -492,7 +500,7 @@ mod tests {
                 assert!(likelihood.coherence(&fit.hyper, s).iter().all(|[_, c]| *c > 0.99));
             }
             let covariance = fit.covariance(1.0).unwrap();
-            for x in fit.without_each_event(likelihood) {
+            for x in fit.without_each_event(likelihood, 1.0) {
                 for (i, (a, b)) in x.iter().zip(&fit.x).enumerate() {
                     assert!((a - b).abs() < 4.0 * covariance[(i, i)].sqrt() + 0.05, "{i}: {a} {b}");
                 }
