@@ -4,7 +4,7 @@ use super::followed::place;
 use super::operators::Operators;
 use super::responses::{InputSensor, RecordResponse, Responses, Scene};
 use super::secants::Secants;
-use super::spectra::SMOOTH_HZ;
+use super::spectra::smoothing_bins;
 use super::unknowns::Placed;
 use crate::effects::Effect;
 use realfft::num_complex::Complex;
@@ -105,7 +105,7 @@ impl Anchor {
         let mut errors: Vec<Vec<Vec<C64>>> =
             scene.groups.iter().map(|g| g.records.iter().map(|_| Vec::new()).collect()).collect();
         for (g, group) in scene.groups.iter().enumerate() {
-            let half = smoothing(&group.frequencies_hz);
+            let half = smoothing_bins(&group.frequencies_hz);
             for (r, record) in group.records.iter().enumerate() {
                 let (Some(Some(replayed)), Some(response)) = (replays.get(record.event), responses.records[g].get(r))
                 else {
@@ -166,14 +166,9 @@ impl Anchor {
     }
 }
 
-/// Bins to either side of a smoothed one.
-pub fn smoothing(frequencies_hz: &[f64]) -> usize {
-    (SMOOTH_HZ / (frequencies_hz[1] - frequencies_hz[0])).round().max(1.0) as usize
-}
-
 fn compare(frequencies_hz: &[f64], replayed: &[Vec<C64>], response: &RecordResponse) -> RecordAnchor {
     let (n, count, motion) = (frequencies_hz.len(), replayed.len(), &response.motion);
-    let half = smoothing(frequencies_hz);
+    let half = smoothing_bins(frequencies_hz);
     let mut anchor = RecordAnchor {
         factor: vec![C64::new(1.0, 0.0); n * count],
         rest: vec![C64::default(); n * count],

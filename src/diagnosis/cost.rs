@@ -1,9 +1,10 @@
 //! The errors-in-variables cost: residuals whitened by the noise of outputs and input as the model passes it on.
 
-use super::anchor::{Anchor, smoothing};
+use super::anchor::Anchor;
 use super::generic::Pair;
 use super::operators::{Operators, entry};
 use super::responses::{Responses, Scene};
+use super::spectra::smoothing_bins;
 use super::unknowns::Placed;
 use crate::effects::Effect;
 use rayon::prelude::*;
@@ -130,7 +131,7 @@ fn each_bin(
     let inputs: Vec<Vec<C64>> = (0..n_record).map(input).collect();
     let arrivals = |r: usize| scene.arrivals((effects, all), [g, r], (&responses.records[g][r], &seen_by));
     let arrivals: Vec<Vec<C64>> = (0..n_record).map(arrivals).collect();
-    let half = smoothing(&group.frequencies_hz);
+    let half = smoothing_bins(&group.frequencies_hz);
     let turned = |r: usize| anchor.records[g][r].as_ref().map_or(Vec::new(), |a| a.turned(&inputs[r], &seen_by, half));
     let turned: Vec<Vec<C64>> = (0..n_record).map(turned).collect();
     let followed: Vec<Vec<C64>> = (0..n_record).map(|r| anchor.followed(scene, responses, [g, r], x)).collect();

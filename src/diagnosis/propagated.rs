@@ -1,8 +1,9 @@
 //! What the nonlinear column makes of noise in its input beyond what is proportional to it.
 
-use super::anchor::{Anchor, smoothing};
+use super::anchor::Anchor;
 use super::neighbours::Seen;
 use super::responses::{Responses, Scene};
+use super::spectra::smoothing_bins;
 use crate::numerics::smooth::running_mean;
 
 /// Power added to the noise of the output sensors: `[group][record][bin and sensor]`, empty where it is not known.
@@ -34,7 +35,7 @@ pub(super) fn propagated(
         let transfer = &responses.records[g][r].transfer;
         let moved = plain.spectrum.iter().zip(&noisier.spectrum).map(|(a, b)| (b - a).norm_sqr()).collect::<Vec<_>>();
         let linear = (0..moved.len()).map(|i| (own.factor[i] * transfer[i]).norm_sqr() * input_noise[i / count]);
-        beyond(&moved, &linear.collect::<Vec<_>>(), count, smoothing(&scene.groups[g].frequencies_hz))
+        beyond(&moved, &linear.collect::<Vec<_>>(), count, smoothing_bins(&scene.groups[g].frequencies_hz))
     };
     let all = scene.groups.iter().enumerate();
     all.map(|(g, group)| (0..group.records.len()).map(|r| of([g, r])).collect()).collect()

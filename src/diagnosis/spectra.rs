@@ -24,6 +24,11 @@ const PER_PERIOD: f64 = 2.4;
 /// Half width over which spectra are smoothed, Hz.
 pub(super) const SMOOTH_HZ: f64 = 0.15;
 
+/// Bins to either side of a smoothed one.
+pub fn smoothing_bins(frequencies_hz: &[f64]) -> usize {
+    (SMOOTH_HZ / (frequencies_hz[1] - frequencies_hz[0])).round().max(1.0) as usize
+}
+
 /// Components of one event on common bins.
 #[derive(Debug, Clone)]
 pub struct Group {

@@ -17,7 +17,7 @@ use faer::Mat;
 use std::collections::BTreeMap;
 
 /// Kinds that are fitted around one model, alone and in pairs.
-const KINDS: usize = 4;
+const KINDS: usize = 5;
 /// Steps of the first fits from a point, and of those that go on; how many go on.
 const HEAT: usize = 4;
 const STEPS: usize = 24;
@@ -217,6 +217,9 @@ impl<'a> Competition<'a> {
             }
             let mut proposals = self.proposals(point, cost, &self.known_directions[i]);
             proposals.sort_by(|a, b| b.log_evidence.total_cmp(&a.log_evidence));
+            if i == 0 {
+                proposals.retain(|p| p.log_evidence >= HOPEFUL * known);
+            }
             heats.extend(self.heats(&base, proposals, stop));
         }
         self.finals(heats, Stop { steps: STEPS, ..stop }, progress);
@@ -511,9 +514,9 @@ impl<'a> Competition<'a> {
             }
         }
         pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let mut known: Vec<[&str; 2]> = Vec::new();
+        let mut known: Vec<[String; 2]> = Vec::new();
         let is_new = |(pair, _): &([usize; 2], f64)| {
-            let mut kinds = pair.map(|i| nodes[i].node.instance.kind);
+            let mut kinds = pair.map(|i| form(&nodes[i].node.instance));
             kinds.sort_unstable();
             let is_new = !known.contains(&kinds);
             known.push(kinds);
@@ -539,11 +542,11 @@ fn centred(g: &Mat<f64>, base: &Fit<'_>, precision: &[f64]) -> Option<Marginal> 
 
 /// Candidates worth another look: the best places of the best kinds.
 fn shortlist(directions: &[&Direction], ranked: &[Linear]) -> Vec<Instance> {
-    let mut kinds: BTreeMap<&'static str, usize> = BTreeMap::new();
+    let mut kinds: BTreeMap<String, usize> = BTreeMap::new();
     let mut found: Vec<Instance> = Vec::new();
     for linear in ranked {
         let instance = &directions[linear.index].node.instance;
-        let count = kinds.entry(instance.kind).or_default();
+        let count = kinds.entry(form(instance)).or_default();
         *count += 1;
         if *count <= PLACES && found.len() < SHORTLIST {
             found.push(instance.clone());
@@ -581,18 +584,23 @@ fn solved(g: &Mat<f64>, z: &[f64], precision: &[f64], held: impl Fn(usize, f64) 
 
 /// Sets of candidates to be fitted: the best place of each set of kinds.
 fn chosen(proposals: Vec<Proposal>) -> Vec<Proposal> {
-    let mut known: Vec<Vec<&'static str>> = Vec::new();
+    let mut known: Vec<Vec<String>> = Vec::new();
     let mut sets = Vec::new();
     for proposal in proposals {
-        let mut kinds: Vec<&'static str> = proposal.parts.iter().map(|(i, _)| i.kind).collect();
+        let mut kinds: Vec<String> = proposal.parts.iter().map(|(i, _)| form(i)).collect();
         kinds.sort_unstable();
-        let count = sets.iter().filter(|s: &&Proposal| s.parts.len() == proposal.parts.len()).count();
-        if count < KINDS && !known.contains(&kinds) {
+        if sets.len() < KINDS && !known.contains(&kinds) {
             known.push(kinds);
             sets.push(proposal);
         }
     }
     sets
+}
+
+/// Kind and parameters of a candidate: one effect may have several forms.
+fn form(instance: &Instance) -> String {
+    let names = instance.free.iter().map(|f| f.parameter.name);
+    std::iter::once(instance.kind).chain(names).collect::<Vec<_>>().join(" ")
 }
 
 /// Whether two candidates are the same parameters of the same effect at the same place.

@@ -3,6 +3,7 @@
 use super::covariance::Covariance;
 use super::discrepancy::{Discrepancy, Levels, Mean, Normal, Shared, hat, strengths};
 use super::forward::{At, Bins, Forward, Predicted, Prediction};
+use crate::diagnosis::spectra;
 use crate::numerics::smooth::running_mean;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, MatMut, Side};
@@ -12,8 +13,6 @@ use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
-/// Half width over which spectra are smoothed, Hz.
-const SMOOTH_HZ: f64 = 0.15;
 /// Knots of the incoherent share, between the ends of the band at equal ratios.
 const SHARE_KNOTS: usize = 7;
 /// Prior of the incoherent share 1 − c²: median, and standard deviation of its ln.
@@ -223,8 +222,7 @@ impl<'a> Likelihood<'a> {
     }
 
     fn half(&self, at: At) -> usize {
-        let f = self.forward.frequencies_hz(at);
-        ((SMOOTH_HZ / (f[1] - f[0])).round() as usize).max(1)
+        spectra::smoothing_bins(self.forward.frequencies_hz(at))
     }
 
     fn prepared(&self, at: At, predicted: &Predicted) -> Prepared {
@@ -377,6 +375,14 @@ impl<'a> Likelihood<'a> {
 
     /// Moves `hyper` towards its best values at `prediction`: levels of the discrepancy, then shares and noise given its mean.
     pub fn tuned(&self, prediction: &Prediction, hyper: &Hyper, rounds: usize) -> Hyper {
+        let mut hyper = self.tuned_covariance(prediction, hyper, rounds);
+        let normals = self.normals(prediction, &[], &hyper);
+        hyper.levels = self.discrepancy.tuned(&normals, hyper.levels);
+        hyper
+    }
+
+    /// [`Self::tuned`] with the levels of the discrepancy as they are.
+    pub fn tuned_covariance(&self, prediction: &Prediction, hyper: &Hyper, rounds: usize) -> Hyper {
         let mut hyper = hyper.clone();
         for _ in 0..rounds {
             // What strays from bin to bin first: a smooth discrepancy must not stand in for it.
@@ -384,8 +390,6 @@ impl<'a> Likelihood<'a> {
             let Some(mean) = self.discrepancy.mean(&normals, hyper.levels) else { break };
             self.tune_covariance(prediction, &mean.whole, &mut hyper);
         }
-        let normals = self.normals(prediction, &[], &hyper);
-        hyper.levels = self.discrepancy.tuned(&normals, hyper.levels);
         hyper
     }
 

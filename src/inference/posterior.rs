@@ -11,6 +11,8 @@ use std::sync::Arc;
 
 /// Most steps of a fit.
 const STEPS: usize = 24;
+/// Rounds in which hyperparameters are moved to their best values before a fit and after it.
+const TUNED: usize = 3;
 /// Expected gain below which a fit has converged, nats.
 const CONVERGED: f64 = 0.1;
 /// Multiples of what a step is expected to gain that a whole fit may still gain.
@@ -150,7 +152,7 @@ impl<'a> Fitter<'a> {
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
         let Start { model, mut x, hyper, slopes: known } = start;
         let mut prediction = self.predict(&model, &x)?;
-        let mut hyper = self.likelihood.tuned(&prediction, &hyper, 8);
+        let mut hyper = self.likelihood.tuned(&prediction, &hyper, TUNED);
         let mut is_fresh = known.iter().all(Option::is_none);
         let mut slopes = self.all_slopes(&model, &x, &prediction, &known);
         let mut radius = RADIUS[0];
@@ -188,7 +190,7 @@ impl<'a> Fitter<'a> {
             match found {
                 Some(found) if ratio > 0.02 => {
                     (x, prediction) = (to, found);
-                    hyper = self.likelihood.tuned(&prediction, &hyper, 1);
+                    hyper = self.likelihood.tuned_covariance(&prediction, &hyper, 1);
                     let known: Vec<Option<Slope>> = slopes.iter().cloned().map(Some).collect();
                     slopes = self.all_slopes(&model, &x, &prediction, &known);
                     is_fresh = false;
@@ -201,7 +203,7 @@ impl<'a> Fitter<'a> {
                 _ => {}
             }
         }
-        let hyper = self.likelihood.tuned(&prediction, &hyper, 2);
+        let hyper = self.likelihood.tuned(&prediction, &hyper, TUNED);
         let mut fit = self.assembled(model, x, hyper, prediction, slopes)?;
         fit.is_exact = stop.is_exact;
         Ok(fit)
