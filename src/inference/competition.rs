@@ -17,15 +17,15 @@ use faer::Mat;
 use std::collections::BTreeMap;
 
 /// Kinds that are fitted around one model, alone and in pairs.
-const KINDS: usize = 5;
+const KINDS: usize = 4;
 /// Steps of the first fits from a point, and of those that go on; how many go on.
 const HEAT: usize = 4;
 const STEPS: usize = 24;
-const FINALS: usize = 4;
+const FINALS: usize = 3;
 /// Expected gain in ln of the evidence below which a fit of the search has converged.
 const CONVERGED: f64 = 0.3;
-/// ln of the odds against the best within which models are fitted exactly at the end.
-const CLOSE: f64 = 6.0;
+/// ln of the odds against the best within which models are fitted exactly at the end: fits of the search are no better than that.
+const CLOSE: f64 = 30.0;
 /// Share of what the best model has over another that a candidate beside that one must promise to be fitted.
 const HOPEFUL: f64 = 0.3;
 /// Candidates whose directions are taken anew at a point, and places of one kind among them.
@@ -38,7 +38,7 @@ const FARTHEST: f64 = 3.0;
 /// Shares of the way to where the linear problem puts a set at which its fit may start.
 const SHARES: [f64; 3] = [1.0, 0.5, 0.2];
 /// Most rounds of the competition.
-const ROUNDS: usize = 8;
+const ROUNDS: usize = 12;
 /// Sizes of a strength at which a candidate is tried, in typical sizes: by replay where all are, by replay where few are, and by a
 /// sensor's operator.
 const NODES: [&[f64]; 3] = [&[0.5], &[0.5, 1.5], &[0.25, 1.0, 2.0]];
@@ -90,6 +90,8 @@ pub struct Competition<'a> {
     /// Everything that was fitted, what is declared first.
     pub fits: Vec<Fit<'a>>,
     expanded: Vec<Vec<Instance>>,
+    /// Models that were fitted without each of their effects.
+    lessened: Vec<Vec<Instance>>,
     /// Directions of all candidates that are replayed, at the two points of what is declared.
     known_directions: [Vec<Direction>; 2],
 }
@@ -109,6 +111,7 @@ impl<'a> Competition<'a> {
             max_effects,
             fits: vec![declared],
             expanded: Vec::new(),
+            lessened: Vec::new(),
             known_directions: Default::default(),
         }
     }
@@ -146,6 +149,13 @@ impl<'a> Competition<'a> {
             for left_out in 0..best.model.effects.len() {
                 open.push(self.fit_less(&best, left_out)?);
             }
+            if !self.lessened.iter().any(|set| is_same_set(set, &best.model.effects)) {
+                self.lessened.push(best.model.effects.clone());
+            }
+            // A model without one of its effects may be better from here than what was found of it.
+            if !is_same_set(&self.best().model.effects, &best.model.effects) {
+                continue;
+            }
             for effect in &best.model.effects {
                 if best.model.effects.len() > 2 && self.known(std::slice::from_ref(effect)).is_some() {
                     open.push(vec![effect.clone()]);
@@ -159,7 +169,7 @@ impl<'a> Competition<'a> {
             };
             self.expand(next, progress)?;
         }
-        self.settle()
+        self.settle(progress)
     }
 
     /// The design effect is that beside the best model.
@@ -168,21 +178,26 @@ impl<'a> Competition<'a> {
     }
 
     /// Fits exactly whatever is close to the best.
-    fn settle(&mut self) -> Result<()> {
+    fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
         loop {
             let highest = self.log_posterior(self.best());
             let is_open = |f: &Fit<'a>| !f.is_exact && self.log_posterior(f) > highest - CLOSE;
             let Some(open) = self.fits.iter().position(is_open) else { return Ok(()) };
-            self.fits[open] = self.fitter.settled(&self.fits[open])?;
+            let mut found = self.fitter.settled(&self.fits[open])?;
+            if self.log_posterior(&found) < self.log_posterior(&self.fits[open]) {
+                found = Fit { is_exact: true, ..self.fits[open].clone() };
+            }
+            self.fits[open] = found;
+            progress.note(&format!("exactly: {}", self.described(&self.fits[open])));
             self.renew_design_effect();
         }
     }
 
-    /// Fits `fit` without one of its effects, where that is not known.
+    /// Fits `fit` without one of its effects from where that one is: no model may lose to a larger one because it was fitted worse.
     fn fit_less(&mut self, fit: &Fit<'a>, left_out: usize) -> Result<Vec<Instance>> {
         let mut effects = fit.model.effects.clone();
         let gone = effects.remove(left_out);
-        if self.known(&effects).is_some() {
+        if self.lessened.iter().any(|set| is_same_set(set, &fit.model.effects)) {
             return Ok(effects);
         }
         let start = fit.model.start(left_out);
@@ -193,7 +208,7 @@ impl<'a> Competition<'a> {
         let model = Model { declared: fit.model.declared, effects: effects.clone() };
         let stop = Stop { steps: STEPS, gain: CONVERGED, cost: f64::INFINITY, is_exact: false };
         let found = self.fitter.fit(Start { model, x, hyper: fit.hyper.clone(), slopes }, stop)?;
-        self.fits.push(found);
+        self.keep(found);
         Ok(effects)
     }
 
@@ -269,11 +284,16 @@ impl<'a> Competition<'a> {
             let slopes = slopes.into_iter().map(Some).collect();
             let Ok(found) = self.fitter.fit(Start { model, x, hyper, slopes }, stop) else { continue };
             progress.note(&self.described(&found));
-            match self.known(&found.model.effects) {
-                Some(i) if self.log_posterior(&self.fits[i]) >= self.log_posterior(&found) => {}
-                Some(i) => self.fits[i] = found,
-                None => self.fits.push(found),
-            }
+            self.keep(found);
+        }
+    }
+
+    /// Keeps the better fit of each model.
+    fn keep(&mut self, found: Fit<'a>) {
+        match self.known(&found.model.effects) {
+            Some(i) if self.log_posterior(&self.fits[i]) >= self.log_posterior(&found) => {}
+            Some(i) => self.fits[i] = found,
+            None => self.fits.push(found),
         }
     }
 

@@ -11,8 +11,8 @@ const AN_OCTAVE: [f64; 2] = [6.0, 1.0];
 const LEAST: [f64; 3] = [1.0, 0.5, 0.5];
 /// Median of the prior of a level over its least, and standard deviation of its ln.
 const LEVEL: [f64; 2] = [1.5, 0.7];
-/// Steps in ln when levels are searched.
-const STEPS: [f64; 4] = [0.9, 0.4, 0.2, 0.1];
+/// Steps in ln when levels are searched, and when they are followed from where they were best a step of a fit before.
+const STEPS: [&[f64]; 2] = [&[0.9, 0.4, 0.2, 0.1], &[0.4, 0.1]];
 
 /// ln of the levels of a discrepancy, shares of what the column adds to its base.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -324,15 +324,15 @@ impl Discrepancy {
         Some(scores)
     }
 
-    /// The most probable levels, from `levels` on; `normals` have nothing beside the discrepancy.
-    pub fn tuned(&self, normals: &[Normal], mut levels: Levels) -> Levels {
+    /// The most probable levels, from `levels` on, which may be known to be near; `normals` have nothing beside the discrepancy.
+    pub fn tuned(&self, normals: &[Normal], mut levels: Levels, is_near: bool) -> Levels {
         let mut shared = self.summed(normals, levels);
         let cost = |shared: &Option<Shared>, levels: Levels| {
             let left = shared.as_ref().and_then(|s| self.without_shared(s, levels));
             left.map_or(f64::INFINITY, |l| l.nll + self.cost(levels))
         };
         let mut best = cost(&shared, levels);
-        for step in STEPS {
+        for step in STEPS[usize::from(is_near)] {
             for index in [2, 0, 1] {
                 for sign in [1.0, -1.0] {
                     let mut is_moved = false;
@@ -475,7 +475,7 @@ mod tests {
                 discrepancy.normal(g, 0.0, 0.0)
             })
             .collect();
-        let found = discrepancy.tuned(&normals, discrepancy.usual());
+        let found = discrepancy.tuned(&normals, discrepancy.usual(), false);
         for (found, truth) in [(found.wide, truth.wide), (found.narrow, truth.narrow), (found.own, truth.own)] {
             assert!((found - truth).abs() < 0.4, "{} {}", found.exp(), truth.exp());
         }

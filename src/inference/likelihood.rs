@@ -375,14 +375,15 @@ impl<'a> Likelihood<'a> {
 
     /// Moves `hyper` towards its best values at `prediction`: levels of the discrepancy, then shares and noise given its mean.
     pub fn tuned(&self, prediction: &Prediction, hyper: &Hyper, rounds: usize) -> Hyper {
-        let mut hyper = self.tuned_covariance(prediction, hyper, rounds);
-        let normals = self.normals(prediction, &[], &hyper);
-        hyper.levels = self.discrepancy.tuned(&normals, hyper.levels);
-        hyper
+        self.moved(prediction, hyper, rounds, false)
     }
 
-    /// [`Self::tuned`] with the levels of the discrepancy as they are.
-    pub fn tuned_covariance(&self, prediction: &Prediction, hyper: &Hyper, rounds: usize) -> Hyper {
+    /// The same where `hyper` was best a step of a fit before.
+    pub fn followed(&self, prediction: &Prediction, hyper: &Hyper) -> Hyper {
+        self.moved(prediction, hyper, 1, true)
+    }
+
+    fn moved(&self, prediction: &Prediction, hyper: &Hyper, rounds: usize, is_near: bool) -> Hyper {
         let mut hyper = hyper.clone();
         for _ in 0..rounds {
             // What strays from bin to bin first: a smooth discrepancy must not stand in for it.
@@ -390,6 +391,8 @@ impl<'a> Likelihood<'a> {
             let Some(mean) = self.discrepancy.mean(&normals, hyper.levels) else { break };
             self.tune_covariance(prediction, &mean.whole, &mut hyper);
         }
+        let normals = self.normals(prediction, &[], &hyper);
+        hyper.levels = self.discrepancy.tuned(&normals, hyper.levels, is_near);
         hyper
     }
 

@@ -190,7 +190,7 @@ impl<'a> Fitter<'a> {
             match found {
                 Some(found) if ratio > 0.02 => {
                     (x, prediction) = (to, found);
-                    hyper = self.likelihood.tuned_covariance(&prediction, &hyper, 1);
+                    hyper = self.likelihood.followed(&prediction, &hyper);
                     let known: Vec<Option<Slope>> = slopes.iter().cloned().map(Some).collect();
                     slopes = self.all_slopes(&model, &x, &prediction, &known);
                     is_fresh = false;
