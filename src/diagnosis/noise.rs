@@ -4,7 +4,7 @@ use super::problem::NoiseSpectrum;
 use crate::metrics::{median, rms};
 use crate::numerics::filter;
 use crate::numerics::random;
-use crate::records::Record;
+use crate::records::{DeclaredNoise, Record};
 use rand::Rng;
 use rand_distr::{Distribution, StandardNormal};
 use realfft::RealFftPlanner;
@@ -43,7 +43,12 @@ const SMALLEST_SHARE: f64 = 0.005;
 /// shaking; then only records with a pre-event stretch tell it.
 /// Check:  `white_noise_is_found_with_and_without_a_pre_event_stretch`, `coloured_noise_keeps_its_colour`.
 /// Source: Welch (1967), doi 10.1109/TAU.1967.1161901.
-pub fn noise(record: &Record) -> Vec<NoiseSpectrum> {
+/// `declared` noise is taken as it is declared.
+pub fn noise(record: &Record, declared: Option<DeclaredNoise>) -> Vec<NoiseSpectrum> {
+    if let Some(declared) = declared {
+        let of = |x: &[f64]| NoiseSpectrum::white(declared.deviation_m_s2(rms(x)), record.dt_s);
+        return record.sensors().map(|s| of(&s.acceleration_m_s2)).collect();
+    }
     let quiet = quiet_samples(record);
     let of = |x: &[f64]| match quiet {
         Some(n) => averaged(&x[..n], record.dt_s),
@@ -219,7 +224,7 @@ mod tests {
         for onset_s in [10.0, 0.0] {
             let record = record(onset_s, &noise);
             assert_eq!(quiet_samples(&record).is_some(), onset_s > 0.0);
-            let found = super::noise(&record);
+            let found = super::noise(&record, None);
             for (spectrum, level) in found.iter().zip(level) {
                 let expected = 2.0 * DT_S * level * level;
                 for f in [1.0, 3.0, 8.0] {
@@ -238,7 +243,7 @@ mod tests {
             let envelope = |i: usize| 0.05 * (-((i as f64 - 800.0) / 400.0).powi(2)).exp();
             (0..4000).map(|i| 0.01 * noise[i] + envelope(i) * chatter[i]).collect()
         };
-        for spectrum in super::noise(&record(0.0, &[with_chatter(0), with_chatter(1)])) {
+        for spectrum in super::noise(&record(0.0, &[with_chatter(0), with_chatter(1)]), None) {
             let ratio = spectrum.at(3.0) / (2.0 * DT_S * 1e-4);
             assert!((0.7..1.4).contains(&ratio), "{ratio}");
         }
@@ -254,7 +259,7 @@ mod tests {
             };
             white(6000, label).into_iter().map(step).collect::<Vec<f64>>()
         };
-        let found = super::noise(&record(40.0, &[red("a"), red("b")]));
+        let found = super::noise(&record(40.0, &[red("a"), red("b")]), None);
         let expected = |f: f64| {
             let z = realfft::num_complex::Complex::from_polar(0.95, -2.0 * PI * f * DT_S);
             2.0 * DT_S * (0.002 / (1.0 - z).norm()).powi(2)
@@ -268,8 +273,8 @@ mod tests {
     #[test]
     fn a_record_that_is_all_shaking_or_silent_does_not_panic() {
         let silent = vec![vec![0.0; 300]; 2];
-        assert!(super::noise(&record(0.0, &silent)).iter().all(|s| s.at(3.0).is_finite()));
-        assert_eq!(super::noise(&record(9.0, &silent)).len(), 2);
+        assert!(super::noise(&record(0.0, &silent), None).iter().all(|s| s.at(3.0).is_finite()));
+        assert_eq!(super::noise(&record(9.0, &silent), None).len(), 2);
     }
 
     #[test]

@@ -3,9 +3,9 @@
 use super::competition::Competition;
 use super::convention::conventions;
 use super::forward::{Forward, Prediction};
-use super::likelihood::Likelihood;
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
+use super::weights::{Spread, band_hz, residual_powers};
 use crate::diagnosis::{DiagnoseSettings, Estimate, Problem, Replay, Verdict};
 use crate::effects;
 use crate::error::Result;
@@ -20,6 +20,13 @@ const NOTHING: f64 = 0.05;
 const KNOWN: f64 = 0.9;
 /// Two-sided 95 % quantile of a normal number.
 const NORMAL: f64 = 1.96;
+/// Most rounds of recalibration, and the change of the column's level (ln) below which they end.
+const RECALIBRATIONS: usize = 4;
+const STILL: f64 = 0.1;
+/// When a fit of these rounds ends.
+const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: true };
+/// Level of the column's error, over the declared one, from which something is missing that has no name.
+const UNNAMED: f64 = 2.0;
 
 /// What remains beside the answer, in a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -48,12 +55,8 @@ pub struct Rest {
     /// imaginary part.
     #[serde(rename = "where")]
     pub place: BTreeMap<String, Vec<[f64; 3]>>,
-    /// How many times less the records say than independent bins would.
-    pub design_effect: f64,
-    /// Estimated levels of the discrepancy.
-    pub levels: [f64; 3],
-    /// Estimated factors on the noise of each sensor, the input sensor first.
-    pub noise: Vec<f64>,
+    /// Error of the column over the declared one, at least 1.
+    pub level: f64,
 }
 
 /// A named effect.
@@ -109,34 +112,49 @@ pub fn compete(
     progress: &dyn Progress,
 ) -> Result<Compared> {
     let forward = Forward::new(problem, replay, settings)?;
-    let likelihood = Likelihood::new(&forward, conventions(&forward, settings, &[])?);
-    let declared = Declared::new(problem)?;
-    let fitter = Fitter { forward: &forward, likelihood: &likelihood, design_effect: 1.0 };
-    let start = fit_declared(&fitter, &declared)?;
-    progress.note(&format!("recalibrated: ln evidence {:.1}, {} replays", start.log_evidence(1.0), forward.replays()));
+    let plain = Declared::new(problem)?;
+    let declared_error = forward.predict(&[])?;
+    let (spread, start) = recalibrated(&forward, &plain)?;
+    progress.note(&format!("recalibrated: level {:.2}, {} replays", spread.level, forward.replays()));
     // What few elements leave wrong is taken out where it matters.
-    let tables = start.model.tables(&start.x);
+    let tables = start.0.tables(&start.1);
     forward.anchor(&tables)?;
-    let likelihood = Likelihood::new(&forward, conventions(&forward, settings, &tables)?);
-    let design_effect = start.design_effect(&likelihood);
-    let fitter = Fitter { forward: &forward, likelihood: &likelihood, design_effect };
-    let start = fitter.settled(&start)?;
-    let mut competition = Competition::new(fitter, start, settings.max_effects);
+    let declared = plain.clone().with_conventions(conventions(&forward, settings, &tables)?);
+    let model = Model { declared: &declared, effects: Vec::new() };
+    let mut x = start.1;
+    x.resize(model.len(), 0.0);
+    let prediction = std::sync::Arc::new(forward.predict(&tables)?);
+    let fitter = Fitter::new(&forward, spread, prediction);
+    let fit = fitter.fit(Start { model, x, slopes: Vec::new() }, Stop::EXACT)?;
+    let mut competition = Competition::new(fitter, fit, settings.max_effects);
     competition.run(progress)?;
     progress.note(&format!("{} replays", forward.replays()));
-    let declared_error = forward.predict(&[])?;
-    Ok(Answer { likelihood: &likelihood, competition: &competition, problem }.assembled(&declared_error))
+    Ok(Answer { forward: &forward, competition: &competition, problem }.assembled(&declared_error))
 }
 
-/// The model without effects, most probable within its tolerances.
-fn fit_declared<'a>(fitter: &Fitter<'a>, declared: &'a Declared) -> Result<Fit<'a>> {
+/// What is declared, most probable within its tolerances: what the records say of the field and of the column's error is read off
+/// beside it, until that stands still.
+fn recalibrated<'a>(forward: &Forward<'a>, declared: &'a Declared) -> Result<(Spread, (Model<'a>, Vec<f64>))> {
     let model = Model { declared, effects: Vec::new() };
-    let x = vec![0.0; model.len()];
-    fitter.fit(Start { model, x, hyper: fitter.likelihood.start(), slopes: Vec::new() }, Stop::EXACT)
+    let mut x = vec![0.0; model.len()];
+    let mut prediction = std::sync::Arc::new(forward.predict(&[])?);
+    let mut spread = Spread::estimated(forward, &prediction);
+    for _ in 0..RECALIBRATIONS {
+        let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
+        let fit = fitter.fit(Start { model: model.clone(), x, slopes: Vec::new() }, ROUGHLY)?;
+        (x, prediction) = (fit.x, fit.prediction);
+        let found = Spread::estimated(forward, &prediction);
+        let is_still = (found.level / spread.level).ln().abs() < STILL;
+        spread = found;
+        if is_still {
+            break;
+        }
+    }
+    Ok((spread, (model, x)))
 }
 
 struct Answer<'c, 'a> {
-    likelihood: &'c Likelihood<'a>,
+    forward: &'c Forward<'a>,
     competition: &'c Competition<'a>,
     problem: &'c Problem,
 }
@@ -204,46 +222,33 @@ impl Answer<'_, '_> {
 
     /// What remains beside `fit`.
     fn rest(&self, fit: &Fit<'_>) -> Rest {
-        let parts = self.likelihood.shares_of_power(&fit.prediction, &fit.hyper);
-        let mut share = [0.0; 3];
-        let mut count = 0.0;
-        for [recorded, shared, own, left] in parts.iter().flatten() {
-            for (sum, part) in share.iter_mut().zip([shared, own, left]) {
-                *sum += part / recorded.max(f64::MIN_POSITIVE);
-            }
-            count += 1.0;
-        }
-        let [repeatable, event, left] = share.map(|s| s / f64::max(count, 1.0));
-        let noise = self.likelihood.noise_share(&fit.prediction, &fit.hyper);
-        let tolerance = self.problem.tolerances.model.powi(2);
-        let incoherent = (event + left - noise).max(0.0);
-        let verdict = if repeatable > tolerance && repeatable > 0.5 * incoherent {
+        let spread = Spread::estimated(self.forward, &fit.prediction);
+        let [repeatable, strays, recorded] = residual_powers(self.forward, &fit.prediction, &spread);
+        let share = [repeatable, strays].map(|p| p / recorded.max(f64::MIN_POSITIVE));
+        let verdict = if spread.level > UNNAMED {
             RestVerdict::Unnamed
-        } else if incoherent > tolerance {
+        } else if share[1] > self.problem.tolerances.model.powi(2) {
             RestVerdict::Incoherent
         } else {
             RestVerdict::Noise
         };
         let outputs = &self.problem.array.outputs;
-        let coherence =
-            outputs.iter().enumerate().map(|(s, name)| (name.clone(), self.likelihood.coherence(&fit.hyper, s)));
-        let discrepancy = self.likelihood.shared_discrepancy(&fit.prediction, &fit.hyper);
-        let levels = fit.hyper.levels;
+        let ends = band_hz(self.forward);
+        let coherence = outputs.iter().enumerate().map(|(s, name)| (name.clone(), spread.at_knots(s, ends)));
         Rest {
             verdict,
-            share: repeatable + incoherent,
-            repeatable_share: repeatable,
+            share: share[0] + share[1],
+            repeatable_share: share[0],
             coherence: coherence.collect(),
-            place: outputs.iter().cloned().zip(discrepancy).collect(),
-            design_effect: self.competition.design_effect(),
-            levels: [levels.wide, levels.narrow, levels.own].map(f64::exp),
-            noise: fit.hyper.ln_noise.iter().map(|n| n.exp()).collect(),
+            place: outputs.iter().cloned().zip(spread.repeatable.iter().cloned()).collect(),
+            level: spread.level,
         }
     }
 
     /// Named effects; an interval is that of the curvature or of leaving one event out, whichever is wider.
     fn found(&self, fit: &Fit<'_>) -> Vec<Named> {
-        let spread = spread(fit, self.likelihood, self.competition.design_effect());
+        let groups: Vec<usize> = self.forward.records.iter().map(|at| at.group).collect();
+        let spread = half_widths(fit, &groups);
         let of = |(index, instance): (usize, &effects::Instance)| {
             let start = fit.model.start(index);
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
@@ -265,10 +270,10 @@ impl Answer<'_, '_> {
 }
 
 /// Half widths of 95 % intervals of the coordinates.
-fn spread(fit: &Fit<'_>, likelihood: &Likelihood<'_>, design_effect: f64) -> Vec<f64> {
+fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
     let n = fit.x.len();
-    let covariance = fit.covariance(design_effect);
-    let left_out = fit.without_each_event(likelihood, design_effect);
+    let covariance = fit.covariance();
+    let left_out = fit.without_each_event(groups);
     let e = left_out.len() as f64;
     (0..n)
         .map(|i| {
@@ -288,4 +293,23 @@ fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
     let mut kinds: Vec<&'static str> = fit.model.effects.iter().map(|e| e.kind).collect();
     kinds.sort_unstable();
     kinds
+}
+
+impl Compared {
+    /// The same as a [`crate::diagnosis::Diagnosis`].
+    pub fn diagnosis(&self) -> crate::diagnosis::Diagnosis {
+        use crate::diagnosis::{Candidate, Found};
+        let class = |kind: &str| effects::find(kind).map_or(effects::Class::Soil, |e| e.catalogue.class);
+        let found: Vec<Found> = self.effects.iter().map(|n| Found { kind: n.kind.clone(), target: n.target.clone(), class: class(&n.kind), table: n.table.clone(), parameters: n.parameters.clone(), gain: 0.0, validation_gain: 0.0, is_standing: false }).collect();
+        let candidates: Vec<Candidate> = self.probabilities.iter().filter(|p| !p.kinds.is_empty()).map(|p| Candidate { kind: p.kinds[0].clone(), target: String::new(), class: class(&p.kinds[0]), gain: p.probability, validation_gain: 0.0, explained_share: 0.0, round: 1, is_confirmed: true, table: toml::Table::new() }).collect();
+        let mut ambiguity: Vec<String> = Vec::new();
+        if self.verdict == Verdict::Ambiguous { for p in &self.probabilities { for k in &p.kinds { if p.probability > 0.05 && !ambiguity.contains(k) { ambiguity.push(k.clone()); } } } }
+        crate::diagnosis::Diagnosis {
+            verdict: self.verdict, effects: found, ambiguity, nuisances: self.recalibrated.clone(), corrected_nuisances: self.beside.clone(), candidates,
+            explained_share: None, input_coherent_share: None, declared: Default::default(), recalibrated: Default::default(), corrected: Default::default(),
+            tolerance_alarms: Vec::new(), upper_bounds: Vec::new(),
+            remainder: crate::diagnosis::Remainder { edges_hz: Vec::new(), sensor_band: BTreeMap::new(), sensor_phase: BTreeMap::new(), event: Vec::new() },
+            evidence: Default::default(), notes: Vec::new(),
+        }
+    }
 }

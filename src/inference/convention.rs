@@ -1,7 +1,6 @@
-//! Other ways in which the field computes the same column: what they change is no property of a site.
+//! What other programs make of the same declared column: what these change is no property of a site.
 
-use super::forward::{Bins, Forward};
-use super::likelihood::Slope;
+use super::forward::{Bins, Forward, Prediction};
 use crate::diagnosis::DiagnoseSettings;
 use crate::diagnosis::responses::Scene;
 use crate::effects;
@@ -11,6 +10,9 @@ use toml::Table;
 
 /// Share of the motion below which a convention changes nothing.
 const NOTHING: f64 = 1e-6;
+
+/// What is added to the outputs, by record.
+pub type Slope = Arc<Vec<Bins>>;
 
 /// What each convention adds to the outputs under `tables` on top of what is declared: a complex modulus without dispersion, as
 /// frequency-domain programs have it, instead of the causal one. Taken from the linear-equivalent column; empty where it changes nothing.
@@ -38,4 +40,15 @@ pub fn conventions(forward: &Forward<'_>, settings: &DiagnoseSettings, tables: &
         added.push(bins);
     }
     Ok(if power[1] > NOTHING * NOTHING * power[0] { vec![Arc::new(added)] } else { Vec::new() })
+}
+
+/// Adds `strengths` of `conventions` to a prediction.
+pub fn add(prediction: &mut Prediction, conventions: &[Slope], strengths: &[f64]) {
+    for (convention, strength) in conventions.iter().zip(strengths).filter(|(_, w)| **w != 0.0) {
+        for (p, change) in prediction.iter_mut().zip(convention.iter()) {
+            for (y, d) in p.outputs.iter_mut().flatten().zip(change.iter().flatten()) {
+                *y += d * *strength;
+            }
+        }
+    }
 }

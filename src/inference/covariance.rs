@@ -35,25 +35,6 @@ impl Covariance {
         x.iter_mut().zip(&self.b).for_each(|(x, b)| *x -= b * w);
     }
 
-    /// Σ⁻¹ x.
-    pub fn solve(&self, x: &[C64]) -> Vec<C64> {
-        let scaled: Vec<C64> = x.iter().zip(&self.d).map(|(x, d)| x / d.sqrt()).collect();
-        let dot: C64 = self.b.iter().zip(&scaled).map(|(b, x)| b.conj() * x).sum();
-        let w = dot / (1.0 + self.g);
-        scaled.iter().zip(&self.b).zip(&self.d).map(|((x, b), d)| (x - b * w) / d.sqrt()).collect()
-    }
-
-    /// An element of Σ⁻¹.
-    pub fn inverse(&self, row: usize, column: usize) -> C64 {
-        let own = if row == column { 1.0 / self.d[row] } else { 0.0 };
-        own - self.b[row] * self.b[column].conj() / ((1.0 + self.g) * (self.d[row] * self.d[column]).sqrt())
-    }
-
-    /// h of (1).
-    pub fn base(&self) -> Vec<C64> {
-        self.b.iter().zip(&self.d).map(|(b, d)| b * d.sqrt()).collect()
-    }
-
     /// ln of the determinant.
     pub fn ln_determinant(&self) -> f64 {
         self.d.iter().map(|d| d.ln()).sum::<f64>() + (1.0 + self.g).ln()
@@ -72,15 +53,31 @@ mod tests {
         let mut white = x.to_vec();
         sigma.whiten(&mut white);
         let norm: f64 = white.iter().map(C64::norm_sqr).sum();
-        let solved = sigma.solve(&x);
+        // xᴴ Σ⁻¹ x and ln det Σ by elimination on the dense matrix.
+        let mut rows: Vec<Vec<C64>> = (0..3)
+            .map(|i| {
+                let of = |j: usize| gain[i] * gain[j].conj() * 0.7 + if i == j { C64::from(sigma.d[i]) } else { C64::default() };
+                (0..3).map(of).chain([x[i]]).collect()
+            })
+            .collect();
+        let mut ln_determinant = 0.0;
+        for i in 0..3 {
+            ln_determinant += rows[i][i].re.ln();
+            for j in i + 1..3 {
+                let factor = rows[j][i] / rows[i][i];
+                for k in i..4 {
+                    let taken = factor * rows[i][k];
+                    rows[j][k] -= taken;
+                }
+            }
+        }
+        let mut solved = [C64::default(); 3];
+        for i in (0..3).rev() {
+            let known: C64 = (i + 1..3).map(|j| rows[i][j] * solved[j]).sum();
+            solved[i] = (rows[i][3] - known) / rows[i][i];
+        }
         let quadratic: C64 = x.iter().zip(&solved).map(|(x, w)| x.conj() * w).sum();
         assert!((norm - quadratic.re).abs() < 1e-12);
-        // Σ Σ⁻¹ x = x.
-        for (i, gain_i) in gain.iter().enumerate() {
-            let row: C64 = (0..3).map(|j| gain_i * gain[j].conj() * 0.7 * solved[j]).sum();
-            assert!((row + sigma.d[i] * solved[i] - x[i]).norm() < 1e-12);
-            let inverse: C64 = (0..3).map(|j| sigma.inverse(i, j) * x[j]).sum();
-            assert!((inverse - solved[i]).norm() < 1e-12);
-        }
+        assert!((sigma.ln_determinant() - ln_determinant).abs() < 1e-12);
     }
 }

@@ -29,8 +29,10 @@ pub struct Predicted {
     pub outputs: Bins,
     /// Motion of the base, by bin.
     pub base: Vec<C64>,
-    /// What was recorded, less what instruments added by themselves, `[sensor][bin]`.
+    /// What each output sensor recorded, less what instruments added by themselves, `[sensor][bin]`.
     pub measured: Bins,
+    /// The channel on which each sensor was recorded, the input sensor first.
+    pub channels: Vec<usize>,
 }
 
 /// A prediction of every record, group by group.
@@ -104,15 +106,6 @@ impl<'a> Forward<'a> {
                 || text("sensor") == input
                 || text("with") == input
         })
-    }
-
-    /// Peak of what the input sensor recorded, by record, m/s².
-    pub fn peaks_m_s2(&self) -> Vec<f64> {
-        let of = |at: &At| {
-            let event = &self.problem.events[self.groups[at.group].records[at.record].event];
-            event.input.iter().fold(0.0f64, |most, a| most.max(a.abs()))
-        };
-        self.records.iter().map(of).collect()
     }
 
     fn spectra_of(&self, motions: Motions) -> Result<Vec<Bins>> {
@@ -210,7 +203,7 @@ impl<'a> Forward<'a> {
         let arriving: Vec<&dyn Effect> =
             built.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect();
         let n_sensor = self.names.len() - 1;
-        let mut outputs: Vec<Bins> = vec![vec![Vec::new(); n_sensor]; n_record];
+        let mut outputs: Vec<Bins> = vec![Vec::with_capacity(n_sensor); n_record];
         for s in 0..n_sensor {
             let operators = self.operators(g, built, s + 1);
             let own: Vec<Vec<C64>> = (0..n_record)
@@ -224,18 +217,16 @@ impl<'a> Forward<'a> {
                 })
                 .collect();
             let own: Vec<&[C64]> = own.iter().map(Vec::as_slice).collect();
-            // What sensor s feels is on the channel of its source.
-            let Some(channel) = sources[s + 1].checked_sub(1) else { continue };
             for (r, outputs) in outputs.iter_mut().enumerate() {
-                outputs[channel] = through(&operators, r, &own);
+                outputs.push(through(&operators, r, &own));
             }
         }
         let rows = outputs.into_iter().zip(bases).zip(measured);
-        rows.map(|((mut outputs, base), mut measured)| {
-            measured.remove(0);
-            // A channel that the input sensor's labels took shows the base.
-            outputs.iter_mut().filter(|o| o.is_empty()).for_each(|o| o.clone_from(&base));
-            Predicted { outputs, base, measured }
+        rows.map(|((outputs, base), channels)| Predicted {
+            outputs,
+            base,
+            measured: sources[1..].iter().map(|channel| channels[*channel].clone()).collect(),
+            channels: sources.to_vec(),
         })
         .collect()
     }

@@ -11,12 +11,11 @@ mod answer;
 mod competition;
 mod convention;
 mod covariance;
-mod discrepancy;
 mod forward;
-mod likelihood;
 #[cfg(test)]
 mod made_up;
 mod parameters;
 mod posterior;
+mod weights;
 
 pub use answer::{Compared, Named, Probable, Rest, RestVerdict, compete};

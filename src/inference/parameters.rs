@@ -9,6 +9,7 @@
 //! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
 
+use super::convention::Slope;
 use crate::diagnosis::Problem;
 use crate::effects::{self, Array, Class, Free, Instance};
 use crate::error::{Error, Result};
@@ -63,6 +64,8 @@ pub struct Declared {
     pub modes: Vec<Vec<f64>>,
     /// The other tolerances.
     pub others: Vec<Tolerance>,
+    /// What other programs make of the same column, at one prior standard deviation: coordinates that no effect stands for.
+    pub conventions: Vec<Slope>,
     input: String,
 }
 
@@ -96,7 +99,12 @@ impl Declared {
             effect.is_ok_and(|e| e.refusal(&array.profile).is_none())
         };
         others.retain(|o| o.deviation > 0.0 && acts(o));
-        Ok(Self { cuts_m, modes, others, input: array.input.clone() })
+        Ok(Self { cuts_m, modes, others, conventions: Vec::new(), input: array.input.clone() })
+    }
+
+    /// The same, and what other programs make of the column.
+    pub fn with_conventions(self, conventions: Vec<Slope>) -> Self {
+        Self { conventions, ..self }
     }
 
     /// Depth modes.
@@ -106,7 +114,12 @@ impl Declared {
 
     /// Number of coordinates.
     pub fn len(&self) -> usize {
-        self.n_mode() + self.others.len()
+        self.n_mode() + self.others.len() + self.conventions.len()
+    }
+
+    /// Strengths of the conventions at the coordinates `z`.
+    pub fn convention_strengths<'z>(&self, z: &'z [f64]) -> &'z [f64] {
+        &z[self.n_mode() + self.others.len()..self.len()]
     }
 
     /// ln of the factor on the velocity of each range at the coordinates `z`.
@@ -136,7 +149,8 @@ impl Declared {
 
     /// Whether coordinate `i` changes how the column is shaken.
     fn is_replayed(&self, i: usize) -> bool {
-        i.checked_sub(self.n_mode()).is_none_or(|i| is_replayed(&self.others[i].instance, &self.input))
+        let others = i.checked_sub(self.n_mode());
+        others.is_none_or(|i| self.others.get(i).is_some_and(|o| is_replayed(&o.instance, &self.input)))
     }
 }
 

@@ -1,24 +1,25 @@
 //! The most probable coordinates of a model, their uncertainty, and the evidence for the model.
 
 use super::algebra::{inverse, ln_determinant, solved};
-use super::forward::{Bins, Forward, Prediction};
-use super::likelihood::{Hyper, Likelihood, Reduced, Slope};
+use super::convention;
+use super::forward::{Forward, Prediction};
 use super::parameters::Model;
+use super::weights::{Rows, Spread, Weights};
 use crate::error::Result;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
-use std::sync::Arc;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Most steps of a fit.
-const STEPS: usize = 24;
-/// Rounds in which hyperparameters are moved to their best values before a fit and after it.
-const TUNED: usize = 3;
+const STEPS: usize = 30;
 /// Expected gain below which a fit has converged, nats.
 const CONVERGED: f64 = 0.1;
-/// Multiples of what a step is expected to gain that a whole fit may still gain.
-const HOPE: f64 = 2.0;
-/// Share of the expected gain that a step must bring for its slopes to be trusted again.
-const TRUSTED: f64 = 0.3;
+/// Share of the expected gain that a step must bring for its slopes to be trusted again, and to be taken at all.
+const TRUSTED: [f64; 2] = [0.3, 0.02];
+/// Gain of a step over what was expected of it within which its slopes are carried on.
+const AGREE: [f64; 2] = [0.5, 1.6];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
 const RADIUS: [f64; 3] = [1.0, 4.0, 0.02];
 /// Length of a step, prior standard deviations, below which what a replay does is as much the chance of its time steps as the step's.
@@ -31,16 +32,16 @@ pub struct Fit<'a> {
     pub model: Model<'a>,
     /// Its coordinates.
     pub x: Vec<f64>,
-    /// Shares, noise and discrepancy beside it.
-    pub hyper: Hyper,
     /// What it predicts.
     pub prediction: Arc<Prediction>,
-    /// How that changes with each coordinate.
-    pub slopes: Vec<Slope>,
-    /// Normal equations there.
-    pub reduced: Arc<Reduced>,
-    /// Whether it was fitted to [`Stop::EXACT`].
-    pub is_exact: bool,
+    /// Residuals in units of what is expected of them.
+    pub rows: Arc<Rows>,
+    /// −ln of the density where every residual is nothing.
+    pub constant: f64,
+    /// How residuals change with each coordinate.
+    pub slopes: Vec<Arc<Rows>>,
+    /// Normal equations: information on the coordinates, and in the last row and column the right-hand side.
+    pub g: Mat<f64>,
 }
 
 /// When a fit ends.
@@ -50,25 +51,23 @@ pub struct Stop {
     pub steps: usize,
     /// Expected gain below which it has converged, in ln of the posterior density.
     pub gain: f64,
-    /// Cost that it must be expected to reach within [`HOPE`] times the gain of its next step.
-    pub cost: f64,
     /// Whether slopes are taken anew before it counts as converged.
     pub is_exact: bool,
 }
 
 impl Stop {
     /// At the most probable coordinates.
-    pub const EXACT: Self = Self { steps: STEPS, gain: CONVERGED, cost: f64::INFINITY, is_exact: true };
+    pub const EXACT: Self = Self { steps: STEPS, gain: CONVERGED, is_exact: true };
 }
 
 /// What fits models.
 pub struct Fitter<'a> {
     /// The column and the sensors.
     pub forward: &'a Forward<'a>,
-    /// The likelihood.
-    pub likelihood: &'a Likelihood<'a>,
-    /// How many times less the records say than the likelihood makes of them, [`Fit::design_effect`].
-    pub design_effect: f64,
+    spread: Spread,
+    reference: Arc<Prediction>,
+    /// Weights by the channels that the sensors are taken to be recorded on.
+    weights: Mutex<HashMap<Vec<usize>, Arc<Weights>>>,
 }
 
 /// Where a fit starts.
@@ -77,31 +76,64 @@ pub struct Start<'a> {
     pub model: Model<'a>,
     /// Its coordinates.
     pub x: Vec<f64>,
-    /// Its hyperparameters.
-    pub hyper: Hyper,
     /// Slopes that are known already, by coordinate.
-    pub slopes: Vec<Option<Slope>>,
+    pub slopes: Vec<Option<Arc<Rows>>>,
 }
 
 impl<'a> Fitter<'a> {
-    fn predict(&self, model: &Model<'a>, x: &[f64]) -> Result<Arc<Prediction>> {
-        Ok(Arc::new(self.forward.predict(&model.tables(x))?))
+    /// One that weighs residuals as `spread` says, transfer functions those of `reference`.
+    pub fn new(forward: &'a Forward<'a>, spread: Spread, reference: Arc<Prediction>) -> Self {
+        Self { forward, spread, reference, weights: Mutex::default() }
     }
 
-    /// How the prediction changes with coordinate `i`; `None` where the column does not finish beside it.
-    fn slope(&self, model: &Model<'a>, x: &[f64], i: usize, here: &Prediction) -> Option<Slope> {
+    /// What is expected of residuals.
+    pub fn spread(&self) -> &Spread {
+        &self.spread
+    }
+
+    /// What a model predicts.
+    ///
+    /// # Errors
+    /// When the column cannot be replayed.
+    pub fn predict(&self, model: &Model<'a>, x: &[f64]) -> Result<Arc<Prediction>> {
+        let mut prediction = self.forward.predict(&model.tables(x))?;
+        convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
+        Ok(Arc::new(prediction))
+    }
+
+    fn weights(&self, prediction: &Prediction) -> Arc<Weights> {
+        let channels = prediction.first().map(|p| p.channels.clone()).unwrap_or_default();
+        let mut known = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_reference = self.reference.first().is_some_and(|p| p.channels == channels);
+        let of = if is_reference { &self.reference } else { prediction };
+        known.entry(channels).or_insert_with(|| Arc::new(Weights::new(self.forward, &self.spread, of))).clone()
+    }
+
+    /// Residuals of a prediction, and −ln of the density where they are nothing.
+    pub fn rows(&self, prediction: &Prediction) -> (Arc<Rows>, f64) {
+        let weights = self.weights(prediction);
+        (Arc::new(weights.rows(prediction)), weights.constant)
+    }
+
+    /// −ln of the density of the records given a prediction.
+    pub fn nll(&self, prediction: &Prediction) -> f64 {
+        let (rows, constant) = self.rows(prediction);
+        0.5 * square(&rows) + constant
+    }
+
+    /// How residuals change with coordinate `i`; `None` where the column does not finish beside it.
+    fn slope(&self, model: &Model<'a>, x: &[f64], i: usize, rows: &Rows) -> Option<Arc<Rows>> {
         let step = model.step(x, i);
         let mut beside = x.to_vec();
         beside[i] += step;
-        let there = self.forward.predict(&model.tables(&beside)).ok()?;
-        Some(difference(here, &there, 1.0 / step))
+        let there = self.predict(model, &beside).ok()?;
+        Some(Arc::new(combined(&self.rows(&there).0, rows, 1.0 / step, -1.0 / step)))
     }
 
-    fn all_slopes(&self, model: &Model<'a>, x: &[f64], here: &Prediction, known: &[Option<Slope>]) -> Vec<Slope> {
-        let nothing = || difference(here, here, 1.0);
+    fn all_slopes(&self, model: &Model<'a>, x: &[f64], rows: &Rows, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
         let of = |i: usize| {
             let own = known.get(i).cloned().flatten().filter(|_| model.is_replayed(i));
-            own.or_else(|| self.slope(model, x, i, here)).unwrap_or_else(nothing)
+            own.or_else(|| self.slope(model, x, i, rows)).unwrap_or_else(|| Arc::new(combined(rows, rows, 0.0, 0.0)))
         };
         (0..model.len()).map(of).collect()
     }
@@ -109,34 +141,29 @@ impl<'a> Fitter<'a> {
     /// Corrects slopes by what a step did, along it alone.
     ///
     /// ```text
-    /// J ← J + (ΔŶ − J δ) δᵀ/(δᵀ δ + τ²)                                      (1)
+    /// J ← J + (Δr − J δ) δᵀ/(δᵀ δ + τ²)                                      (1)
     /// ```
     ///
-    /// τ is [`JITTER`], so that what a short step does by chance is not taken for a slope; δ in prior standard deviations, over the coordinates whose slopes are replays; those of sensors are exact.
+    /// τ is [`JITTER`], so that what a short step does by chance is not taken for a slope; δ in prior standard deviations, over the
+    /// coordinates whose slopes are replays; those of sensors are taken anew.
     ///
     /// Source: (1) Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6.
-    fn learn(&self, model: &Model<'a>, slopes: &mut [Slope], x: [&[f64]; 2], predictions: [&Prediction; 2]) {
+    fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], x: [&[f64]; 2], rows: [&Rows; 2]) {
         let prior = model.prior();
         let delta: Vec<f64> = (0..model.len()).map(|i| (x[1][i] - x[0][i]) / prior[i][1]).collect();
         let square: f64 = (0..model.len()).filter(|i| model.is_replayed(*i)).map(|i| delta[i] * delta[i]).sum();
         if square < 1e-12 {
             return;
         }
-        let mut missed = (*difference(predictions[0], predictions[1], 1.0)).clone();
-        let moved = |i: usize| x[1][i] - x[0][i];
-        for (i, slope) in slopes.iter().enumerate().filter(|(i, _)| moved(*i) != 0.0) {
-            let pairs = missed.iter_mut().flatten().flatten().zip(slope.iter().flatten().flatten());
-            pairs.for_each(|(m, s)| *m -= s * moved(i));
+        let mut missed = combined(rows[1], rows[0], 1.0, -1.0);
+        for (i, slope) in slopes.iter().enumerate() {
+            missed = combined(&missed, slope, 1.0, x[0][i] - x[1][i]);
         }
         for (i, slope) in slopes.iter_mut().enumerate() {
             let factor = delta[i] / ((square + JITTER * JITTER) * prior[i][1]);
-            if !model.is_replayed(i) || factor == 0.0 {
-                continue;
+            if model.is_replayed(i) && factor != 0.0 {
+                *slope = Arc::new(combined(slope, &missed, 1.0, factor));
             }
-            let mut own = (**slope).clone();
-            let pairs = own.iter_mut().flatten().flatten().zip(missed.iter().flatten().flatten());
-            pairs.for_each(|(s, m)| *s += m * factor);
-            *slope = Arc::new(own);
         }
     }
 
@@ -145,169 +172,126 @@ impl<'a> Fitter<'a> {
         model.prior().iter().zip(x).map(|([mean, sd], x)| 0.5 * ((x - mean) / sd).powi(2)).sum()
     }
 
-    /// Fits from `start`: Fisher scoring within a trust region, hyperparameters in turn.
+    /// Fits from `start`: Gauss–Newton steps within a trust region.
     ///
     /// # Errors
     /// When the column cannot be replayed at the start.
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
-        let Start { model, mut x, hyper, slopes: known } = start;
+        let Start { model, mut x, slopes: known } = start;
         let mut prediction = self.predict(&model, &x)?;
-        let mut hyper = self.likelihood.tuned(&prediction, &hyper, TUNED);
+        let (mut rows, mut constant) = self.rows(&prediction);
         let mut is_fresh = known.iter().all(Option::is_none);
-        let mut slopes = self.all_slopes(&model, &x, &prediction, &known);
+        let mut slopes = self.all_slopes(&model, &x, &rows, &known);
         let mut radius = RADIUS[0];
         for _ in 0..stop.steps {
-            let Some(reduced) = self.likelihood.at(&prediction, &slopes, &hyper) else { break };
-            let reduced = reduced.thinned(self.design_effect);
-            let cost = reduced.nll + Self::prior(&model, &x);
-            let (to, expected) = step(&model, &x, &reduced, radius);
+            let g = normal(&slopes, &rows);
+            let cost = 0.5 * square(&rows) + constant + Self::prior(&model, &x);
+            let (to, expected) = step(&model, &x, &g, radius);
             // What is left to gain is not what a short step gains.
-            let (_, whole) = step(&model, &x, &reduced, f64::INFINITY);
-            if cost - HOPE * whole > stop.cost {
-                break;
-            }
-            if whole < stop.gain {
+            let (_, whole) = step(&model, &x, &g, f64::INFINITY);
+            if whole < stop.gain || radius < RADIUS[2] {
                 if is_fresh || !stop.is_exact {
                     break;
                 }
-                slopes = self.all_slopes(&model, &x, &prediction, &[]);
-                is_fresh = true;
+                slopes = self.all_slopes(&model, &x, &rows, &[]);
+                (is_fresh, radius) = (true, radius.max(JITTER));
                 continue;
             }
-            let found = self.predict(&model, &to).ok();
-            let new = found.as_ref().map_or(f64::INFINITY, |p| {
-                self.likelihood.nll_beside(p, &prediction, &hyper) / self.design_effect + Self::prior(&model, &to)
+            let found = self.predict(&model, &to).ok().map(|p| (self.rows(&p), p));
+            let new = found.as_ref().map_or(f64::INFINITY, |((rows, constant), _)| {
+                0.5 * square(rows) + constant + Self::prior(&model, &to)
             });
             let ratio = (cost - new) / expected;
-            if let Some(found) = &found {
-                self.learn(&model, &mut slopes, [&x, &to], [&prediction, found]);
+            if std::env::var("TRACE").is_ok() {
+                eprintln!("    fit {:?}: cost {cost:.1} expected {expected:.2} whole {whole:.2} found {:.2} radius {radius:.2} x {x:.2?}", model.effects.iter().map(|e| e.kind).collect::<Vec<_>>(), cost - new);
+            }
+            if let Some(((there, _), _)) = &found {
+                Self::learn(&model, &mut slopes, [&x, &to], [&rows, there]);
             }
             radius = match ratio {
                 r if r > 0.75 => (2.0 * radius).min(RADIUS[1]),
-                r if r < TRUSTED => 0.35 * radius,
+                r if r < TRUSTED[0] => 0.35 * radius,
                 _ => radius,
             };
             match found {
-                Some(found) if ratio > 0.02 => {
-                    (x, prediction) = (to, found);
-                    hyper = self.likelihood.followed(&prediction, &hyper);
-                    let known: Vec<Option<Slope>> = slopes.iter().cloned().map(Some).collect();
-                    slopes = self.all_slopes(&model, &x, &prediction, &known);
-                    is_fresh = false;
+                Some(((there, own), found)) if ratio > TRUSTED[1] => {
+                    (x, prediction, rows, constant) = (to, found, there, own);
+                    // Slopes that foresaw something else are those of another place.
+                    is_fresh = stop.is_exact && !(AGREE[0]..AGREE[1]).contains(&ratio);
+                    let known: Vec<Option<Arc<Rows>>> = slopes.iter().cloned().map(Some).collect();
+                    slopes = self.all_slopes(&model, &x, &rows, if is_fresh { &[] } else { &known });
                 }
                 _ if !is_fresh => {
-                    slopes = self.all_slopes(&model, &x, &prediction, &[]);
+                    slopes = self.all_slopes(&model, &x, &rows, &[]);
                     is_fresh = true;
                 }
-                _ if radius < RADIUS[2] => break,
                 _ => {}
             }
         }
-        let hyper = self.likelihood.tuned(&prediction, &hyper, TUNED);
-        let mut fit = self.assembled(model, x, hyper, prediction, slopes)?;
-        fit.is_exact = stop.is_exact;
-        Ok(fit)
-    }
-
-    /// The fit with slopes taken right beside it, and one more round from there.
-    ///
-    /// # Errors
-    /// As [`Self::fit`].
-    pub fn settled(&self, fit: &Fit<'a>) -> Result<Fit<'a>> {
-        let (model, x, hyper) = (fit.model.clone(), fit.x.clone(), fit.hyper.clone());
-        self.fit(Start { model, x, hyper, slopes: Vec::new() }, Stop::EXACT)
-    }
-
-    fn assembled(
-        &self,
-        model: Model<'a>,
-        x: Vec<f64>,
-        hyper: Hyper,
-        prediction: Arc<Prediction>,
-        slopes: Vec<Slope>,
-    ) -> Result<Fit<'a>> {
-        let reduced = self
-            .likelihood
-            .at(&prediction, &slopes, &hyper)
-            .ok_or_else(|| crate::error::Error::new("the likelihood is out of range"))?;
-        Ok(Fit { model, x, hyper, prediction, slopes, reduced: Arc::new(reduced), is_exact: false })
+        let g = normal(&slopes, &rows);
+        Ok(Fit { model, x, prediction, rows, constant, slopes, g })
     }
 }
 
 impl Fit<'_> {
-    /// Posterior covariance of the coordinates by the curvature of the cost, of records that say `design_effect` times less.
-    pub fn covariance(&self, design_effect: f64) -> Option<Mat<f64>> {
-        inverse(&information(&self.model, &self.reduced.thinned(design_effect).g))
+    /// Posterior covariance of the coordinates by the curvature of the cost.
+    pub fn covariance(&self) -> Option<Mat<f64>> {
+        inverse(&information(&self.model, &self.g))
     }
 
-    /// −ln of the posterior density of records that say `design_effect` times less, constants apart.
-    pub fn cost(&self, design_effect: f64) -> f64 {
-        self.reduced.nll / design_effect + Fitter::prior(&self.model, &self.x)
+    /// −ln of the posterior density, constants apart.
+    pub fn cost(&self) -> f64 {
+        0.5 * square(&self.rows) + self.constant + Fitter::prior(&self.model, &self.x)
     }
 
-    /// How many times less its records say than the likelihood makes of them, by what events disagree about: 1 where they scatter as
-    /// the likelihood has it.
-    ///
-    /// ```text
-    /// κ = tr(A⁻¹ S) / tr(A⁻¹ G),   S = n/(n − 1) Σ_e (u_e − ū)(u_e − ū)ᵀ,   A = G + Λ                (1)
-    /// ```
-    ///
-    /// G is the information of all records, Λ that of the prior, u_e the score of an event. Replays are smooth only within the chance of
-    /// their time steps, and errors of a column come again in all bins of an event; neither is independent from bin to bin.
-    ///
-    /// Source: Pauli, Racugno and Ventura (2011), Bayesian composite marginal likelihoods, Statistica Sinica 21, for dividing by κ;
-    /// Varin, Reid and Firth (2011), Statistica Sinica 21, for its estimate.
-    pub fn design_effect(&self, likelihood: &Likelihood<'_>) -> f64 {
-        let n = self.x.len();
-        let scores = likelihood.scores(&self.prediction, &self.slopes, &self.hyper).unwrap_or_default();
-        let Some(inverse) = inverse(&information(&self.model, &self.reduced.g)) else { return 1.0 };
-        if scores.len() < 2 {
-            return 1.0;
-        }
-        let count = scores.len() as f64;
-        let mean: Vec<f64> = (0..n).map(|i| scores.iter().map(|u| u[i]).sum::<f64>() / count).collect();
-        let squares = |u: &Vec<f64>| {
-            let d: Vec<f64> = u.iter().zip(&mean).map(|(u, m)| u - m).collect();
-            (0..n).map(|i| d[i] * (0..n).map(|j| inverse[(i, j)] * d[j]).sum::<f64>()).sum::<f64>()
-        };
-        let scatter = scores.iter().map(squares).sum::<f64>() * count / (count - 1.0);
-        let expected: f64 = (0..n).map(|i| (0..n).map(|j| inverse[(i, j)] * self.reduced.g[(j, i)]).sum::<f64>()).sum();
-        (scatter / expected).max(1.0)
+    /// ln of the evidence.
+    pub fn log_evidence(&self) -> f64 {
+        occam(&self.model, &self.x, &self.g) - self.cost()
     }
 
-    /// ln of the evidence of records that say `design_effect` times less, see [`Self::design_effect`].
-    pub fn log_evidence(&self, design_effect: f64) -> f64 {
-        occam(&self.model, &self.x, &self.reduced.thinned(design_effect).g) - self.cost(design_effect)
-    }
-
-    /// Coordinates when each event in turn is left out, by one step from here.
-    pub fn without_each_event(&self, likelihood: &Likelihood<'_>, design_effect: f64) -> Vec<Vec<f64>> {
+    /// Coordinates when each event in turn is left out, by one step from here; `groups` are the events of the records.
+    pub fn without_each_event(&self, groups: &[usize]) -> Vec<Vec<f64>> {
         let (n, prior) = (self.x.len(), self.model.prior());
-        let of = |left: &Reduced| {
-            let left = left.thinned(design_effect);
-            let side: Vec<f64> =
-                (0..n).map(|i| left.g[(i, n)] - (self.x[i] - prior[i][0]) / prior[i][1].powi(2)).collect();
-            let step = solved(&information(&self.model, &left.g), &side)?;
+        let of = |event: usize| {
+            let kept = |rows: &Rows| -> Rows {
+                rows.iter().zip(groups).filter(|(_, g)| **g != event).map(|(r, _)| r.clone()).collect()
+            };
+            let slopes: Vec<Arc<Rows>> = self.slopes.iter().map(|s| Arc::new(kept(s))).collect();
+            let g = normal(&slopes, &kept(&self.rows));
+            let side: Vec<f64> = (0..n).map(|i| g[(i, n)] - (self.x[i] - prior[i][0]) / prior[i][1].powi(2)).collect();
+            let step = solved(&information(&self.model, &g), &side)?;
             Some(self.x.iter().zip(step).map(|(x, d)| x + d).collect())
         };
-        likelihood.without_each_event(&self.prediction, &self.slopes, &self.hyper).iter().filter_map(of).collect()
+        let count = groups.iter().max().map_or(0, |g| g + 1);
+        (0..count).into_par_iter().filter_map(of).collect()
     }
 }
 
-/// What changes from `from` to `to`, times `factor`.
-pub fn difference(from: &Prediction, to: &Prediction, factor: f64) -> Slope {
-    let of = |(a, b): (&super::forward::Predicted, &super::forward::Predicted)| -> Bins {
-        let rows = a.outputs.iter().zip(&b.outputs).zip(a.measured.iter().zip(&b.measured));
-        // What is taken out of the record counts as if it were predicted.
-        rows.map(|((a, b), (m, n))| {
-            a.iter().zip(b).zip(m.iter().zip(n)).map(|((a, b), (m, n))| (b - a - (n - m)) * factor).collect()
-        })
-        .collect()
-    };
-    Arc::new(from.iter().zip(to).map(of).collect())
+/// a · `one` + b · `other`.
+pub fn combined(one: &Rows, other: &Rows, a: f64, b: f64) -> Rows {
+    let of = |(x, y): (&Vec<f64>, &Vec<f64>)| x.iter().zip(y).map(|(x, y)| a * x + b * y).collect();
+    one.iter().zip(other).map(of).collect()
 }
 
-/// Information of the likelihood and the prior.
+fn square(rows: &Rows) -> f64 {
+    rows.iter().flatten().map(|r| r * r).sum()
+}
+
+/// Normal equations of residuals `rows` with these `slopes`: Jᵀ J, and −Jᵀ r in the last row and column.
+pub fn normal(slopes: &[Arc<Rows>], rows: &Rows) -> Mat<f64> {
+    let n = slopes.len();
+    let one = |record: usize| {
+        let columns: Vec<&[f64]> =
+            slopes.iter().map(|s| s[record].as_slice()).chain([rows[record].as_slice()]).collect();
+        let m = columns[n].len();
+        let j = Mat::from_fn(m, n + 1, |i, c| if c == n { -columns[c][i] } else { columns[c][i] });
+        j.transpose() * &j
+    };
+    let all: Vec<Mat<f64>> = (0..rows.len()).into_par_iter().map(one).collect();
+    all.iter().fold(Mat::zeros(n + 1, n + 1), |sum, g| sum + g)
+}
+
+/// Information of the records and the prior.
 fn information(model: &Model<'_>, g: &Mat<f64>) -> Mat<f64> {
     let prior = model.prior();
     let n = prior.len();
@@ -315,10 +299,10 @@ fn information(model: &Model<'_>, g: &Mat<f64>) -> Mat<f64> {
 }
 
 /// The step from `x` within `radius` prior standard deviations and the bounds, and what it is expected to gain.
-fn step(model: &Model<'_>, x: &[f64], reduced: &Reduced, radius: f64) -> (Vec<f64>, f64) {
+fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f64) {
     let (prior, bounds, n) = (model.prior(), model.bounds(), x.len());
-    let a = information(model, &reduced.g);
-    let gradient: Vec<f64> = (0..n).map(|i| reduced.g[(i, n)] - (x[i] - prior[i][0]) / prior[i][1].powi(2)).collect();
+    let a = information(model, g);
+    let gradient: Vec<f64> = (0..n).map(|i| g[(i, n)] - (x[i] - prior[i][0]) / prior[i][1].powi(2)).collect();
     let mut held = vec![false; n];
     let mut to = x.to_vec();
     for _ in 0..n {
@@ -399,96 +383,84 @@ pub fn normal_probability(z: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::discrepancy::Levels;
     use super::super::made_up::{DAMPING, Truth, Uniform, problem};
     use super::super::parameters::Declared;
+    use super::super::weights::band_hz;
     use super::*;
     use crate::diagnosis::{DiagnoseSettings, Problem};
     use crate::effects;
     use crate::numerics::random;
     use rand::RngExt;
 
-    fn with<T>(problem: &Problem, kinds: &[&str], use_of: impl FnOnce(&Fitter<'_>, Model<'_>) -> T) -> T {
+    /// Fits the model with effects of `kinds` to `problem`, what is expected of residuals read off in turn.
+    fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl FnOnce(&Fit<'_>, &Fitter<'_>) -> T) -> T {
         let replay = Uniform(problem);
         let forward = Forward::new(problem, &replay, &DiagnoseSettings::default()).unwrap();
-        let likelihood = Likelihood::new(&forward, Vec::new());
         let declared = Declared::new(problem).unwrap();
         let all = effects::instances(&problem.array);
         let of = |kind: &&str| all.iter().find(|i| i.kind == *kind).unwrap().clone();
         let model = Model { declared: &declared, effects: kinds.iter().map(of).collect() };
-        use_of(&Fitter { forward: &forward, likelihood: &likelihood, design_effect: 1.0 }, model)
+        let mut x: Vec<f64> = model.prior().iter().map(|[mean, _]| *mean).collect();
+        let mut prediction = Arc::new(forward.predict(&model.tables(&x)).unwrap());
+        for _ in 0..3 {
+            let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+            let fit = fitter.fit(Start { model: model.clone(), x, slopes: Vec::new() }, Stop::EXACT).unwrap();
+            (x, prediction) = (fit.x, fit.prediction);
+        }
+        let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+        let fit = fitter.fit(Start { model, x, slopes: Vec::new() }, Stop::EXACT).unwrap();
+        use_of(&fit, &fitter)
     }
 
-    fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl FnOnce(&Fit<'_>, &Likelihood<'_>) -> T) -> T {
-        with(problem, kinds, |fitter, model| {
-            let x = model.prior().iter().map(|[mean, _]| *mean).collect();
-            let hyper = fitter.likelihood.start();
-            let fit = fitter.fit(Start { model, x, hyper, slopes: Vec::new() }, Stop::EXACT).unwrap();
-            use_of(&fit, fitter.likelihood)
-        })
+    /// Damping ratio of a fit with `small_strain_damping` as its only effect.
+    fn damping_ratio(fit: &Fit<'_>) -> f64 {
+        let declared = fit.model.declared;
+        let tolerance = declared.others.iter().position(|o| o.instance.kind == "small_strain_damping").unwrap();
+        let tolerated = declared.others[tolerance].deviation * fit.x[declared.n_mode() + tolerance];
+        DAMPING * (fit.x[fit.model.start(0)] + tolerated).exp()
+    }
+
+    fn straying(f: f64) -> f64 {
+        if f < 0.7 { 0.97 } else { (0.97 - 0.55 * (f / 0.7).ln() / (8.0f64 / 0.7).ln()).max(0.4) }
     }
 
     #[test]
-    fn slopes_are_those_of_the_likelihood() {
-        let problem = problem(&Truth { soil: [197.0, 0.03], ..Truth::default() });
-        with(&problem, &["small_strain_damping"], |fitter, model| {
+    fn normal_equations_are_slopes_of_the_cost() {
+        let problem = problem(&Truth { soil: [197.0, 0.03], coherence: straying, ..Truth::default() });
+        fitted(&problem, &["small_strain_damping"], |fit, fitter| {
+            let model = fit.model.clone();
             let n = model.len();
-            let x: Vec<f64> = model.prior().iter().map(|[mean, sd]| mean + 0.1 * sd).collect();
-            let prediction = fitter.predict(&model, &x).unwrap();
-            // Partly coherent, so that means and variances both count.
-            let mut hyper = fitter.likelihood.start();
-            hyper.ln_share.iter_mut().flatten().for_each(|v| *v = 0.3f64.ln());
-            hyper.levels = Levels { wide: 1e-6f64.ln(), narrow: 1e-6f64.ln(), own: 1e-6f64.ln() };
-            let slopes = fitter.all_slopes(&model, &x, &prediction, &[]);
-            let reduced = fitter.likelihood.at(&prediction, &slopes, &hyper).unwrap();
+            let x: Vec<f64> = fit.x.iter().zip(model.prior()).map(|(x, [_, sd])| x + 0.1 * sd).collect();
+            let rows = fitter.rows(&fitter.predict(&model, &x).unwrap()).0;
+            let g = normal(&fitter.all_slopes(&model, &x, &rows, &[]), &rows);
             let mut stream = random::stream(3, "directions");
             for _ in 0..5 {
                 let direction: Vec<f64> = (0..n).map(|_| stream.random::<f64>() - 0.5).collect();
-                let own: Vec<f64> = (0..n).map(|i| direction[i] * reduced.g[(i, n)]).collect();
-                let expected = -own.iter().sum::<f64>();
-                // Slopes of single coordinates may cancel in their sum.
-                let size = own.iter().map(|s| s * s).sum::<f64>().sqrt();
+                let expected: f64 = -(0..n).map(|i| direction[i] * g[(i, n)]).sum::<f64>();
+                let size = (0..n).map(|i| (direction[i] * g[(i, n)]).powi(2)).sum::<f64>().sqrt();
                 let at = |h: f64| {
-                    let moved: Prediction = prediction
-                        .iter()
-                        .enumerate()
-                        .map(|(r, p)| {
-                            let mut p = p.clone();
-                            for (slope, d) in slopes.iter().zip(&direction) {
-                                let pairs = p.outputs.iter_mut().flatten().zip(slope[r].iter().flatten());
-                                pairs.for_each(|(y, s)| *y += s * (d * h));
-                            }
-                            p
-                        })
-                        .collect();
-                    fitter.likelihood.nll_beside(&moved, &prediction, &hyper)
+                    let beside: Vec<f64> = x.iter().zip(&direction).map(|(x, d)| x + h * d).collect();
+                    fitter.nll(&fitter.predict(&model, &beside).unwrap())
                 };
-                let h = 1e-5;
-                let found = (at(h) - at(-h)) / (2.0 * h);
-                assert!((found - expected).abs() < 0.06 * size, "{found} {expected} {size}");
+                let found = (at(1e-4) - at(-1e-4)) / 2e-4;
+                // Slopes are differences over a fifth of a prior deviation.
+                assert!((found - expected).abs() < 0.1 * size, "{found} {expected} {size}");
             }
         });
     }
 
     #[test]
-    #[ignore = "seed 6 finds 0.0403 of 0.0500: the discrepancy takes part of what strays"]
     fn damping_of_a_partly_coherent_field_is_found() {
-        // Least squares would put the damping of what does not follow the base three times too high.
-        let coherence =
-            |f: f64| if f < 0.7 { 0.97 } else { (0.97 - 0.55 * (f / 0.7).ln() / (8.0f64 / 0.7).ln()).max(0.4) };
-        for seed in [5, 6, 7] {
-            let problem = problem(&Truth { soil: [200.0, 0.05], coherence, seed, ..Truth::default() });
-            fitted(&problem, &["small_strain_damping"], |fit, likelihood| {
-                let at = fit.model.start(0);
-                let tolerance =
-                    fit.model.declared.others.iter().position(|o| o.instance.kind == "small_strain_damping");
-                let z = fit.x[fit.model.declared.n_mode() + tolerance.unwrap()];
-                let found = DAMPING * (fit.x[at] + 0.3 * z).exp();
+        // Least squares that take the field for coherent would find three times the damping of what does not follow the base.
+        for seed in [5, 6, 7, 8] {
+            let problem = problem(&Truth { soil: [200.0, 0.05], coherence: straying, seed, ..Truth::default() });
+            fitted(&problem, &["small_strain_damping"], |fit, fitter| {
+                let found = damping_ratio(fit);
                 println!("seed {seed}: damping ratio {found:.4}, 0.0500 holds");
                 assert!((found / 0.05 - 1.0).abs() < 0.1, "seed {seed}: {found}");
-                for [f, c] in likelihood.coherence(&fit.hyper, 1) {
-                    // Half a knot's width of the smooth discrepancy can stand in for some of it.
-                    assert!(f < 0.5 || (c - coherence(f)).abs() < 0.15, "seed {seed}, {f} Hz: {c} {}", coherence(f));
+                for [f, c] in fitter.spread().at_knots(1, band_hz(fitter.forward)) {
+                    println!("  {f:.2} Hz: {c:.3} {:.3}", straying(f));
+                    assert!((c - straying(f)).abs() < 0.1, "seed {seed}, {f} Hz: {c} {}", straying(f));
                 }
             });
         }
@@ -497,12 +469,13 @@ mod tests {
     #[test]
     fn a_coherent_field_is_found_coherent_and_leaving_events_out_moves_little() {
         let problem = problem(&Truth { soil: [204.0, 0.025], ..Truth::default() });
-        fitted(&problem, &[], |fit, likelihood| {
-            for s in 0..2 {
-                assert!(likelihood.coherence(&fit.hyper, s).iter().all(|[_, c]| *c > 0.99));
-            }
-            let covariance = fit.covariance(1.0).unwrap();
-            for x in fit.without_each_event(likelihood, 1.0) {
+        fitted(&problem, &[], |fit, fitter| {
+            let spread = fitter.spread();
+            assert!(spread.coherence.iter().flatten().all(|c| *c > 0.99), "{:?}", spread.coherence);
+            assert!(spread.level < 1.2, "{}", spread.level);
+            let covariance = fit.covariance().unwrap();
+            let groups: Vec<usize> = fitter.forward.records.iter().map(|at| at.group).collect();
+            for x in fit.without_each_event(&groups) {
                 for (i, (a, b)) in x.iter().zip(&fit.x).enumerate() {
                     assert!((a - b).abs() < 4.0 * covariance[(i, i)].sqrt() + 0.05, "{i}: {a} {b}");
                 }

@@ -12,7 +12,7 @@ mod settings;
 pub use load::{Missing, Records, load};
 pub use noise::{Noise, add_noise};
 pub use record::{Record, Sensor};
-pub use settings::{RecordSettings, Split};
+pub use settings::{DeclaredNoise, RecordSettings, Split};
 
 use crate::error::Result;
 use crate::registry::Entry;

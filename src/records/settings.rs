@@ -27,10 +27,42 @@ pub struct RecordSettings {
     pub validation: Vec<String>,
     /// Events held out from everything.
     pub test: Vec<String>,
+    /// Noise of the sensors where it is known (`[records.noise]`); otherwise it is read off what was recorded before each event.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<DeclaredNoise>,
     /// Parameters of the format (`[records.options]`).
     #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     pub options: toml::Table,
+}
+
+/// White noise of every sensor: one of the two.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DeclaredNoise {
+    /// Standard deviation as a share of the RMS of each channel, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rms_share: Option<f64>,
+    /// Standard deviation, m/s².
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub floor_m_s2: Option<f64>,
+}
+
+impl DeclaredNoise {
+    /// Standard deviation of the noise of a channel whose record has this RMS, m/s².
+    pub fn deviation_m_s2(self, rms_m_s2: f64) -> f64 {
+        self.floor_m_s2.unwrap_or_else(|| self.rms_share.unwrap_or(0.0) * rms_m_s2)
+    }
+
+    fn problem(self) -> Option<String> {
+        match (self.rms_share, self.floor_m_s2) {
+            (Some(share), None) if share > 0.0 && share < 1.0 => None,
+            (None, Some(floor)) if floor > 0.0 && floor.is_finite() => None,
+            (Some(share), None) => Some(format!("`noise.rms_share` must be between 0 and 1, got {share}")),
+            (None, Some(floor)) => Some(format!("`noise.floor_m_s2` must be above 0 m/s², got {floor}")),
+            _ => Some("`noise` needs either `rms_share` or `floor_m_s2`, and not both".into()),
+        }
+    }
 }
 
 /// What an event may be used for.
@@ -77,6 +109,9 @@ impl RecordSettings {
             if list.is_empty() {
                 say(key, format!("`{key}` must name at least one"));
             }
+        }
+        if let Some(what) = self.noise.and_then(DeclaredNoise::problem) {
+            say("noise", what);
         }
         let mut seen: Vec<(&str, Split)> = Vec::new();
         for (event, split) in self.events() {
@@ -145,6 +180,18 @@ mod tests {
         assert_eq!(keys, ["format", "test", "test", "components"]);
         let twin = RecordSettings { format: "twin".into(), ..settings("") };
         assert_eq!(twin.problems()[0].0, "truth");
+        for (table, is_sound) in [
+            ("rms_share = 0.02", true),
+            ("floor_m_s2 = 0.001", true),
+            ("", false),
+            ("rms_share = 0.02, floor_m_s2 = 0.001", false),
+            ("rms_share = 2.0", false),
+            ("floor_m_s2 = 0.0", false),
+        ] {
+            let keys: Vec<String> =
+                settings(&format!("noise = {{ {table} }}")).problems().into_iter().map(|(k, _)| k).collect();
+            assert_eq!(keys.is_empty(), is_sound, "{table}: {keys:?}");
+        }
         let nowhere = RecordSettings { dir: None, ..settings("") };
         assert_eq!(nowhere.problems()[0].0, "dir");
     }

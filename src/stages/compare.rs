@@ -95,6 +95,7 @@ impl Stage for Compare {
             "pretrain.step_s",
             "diagnose.band_hz",
             "records.format",
+            "records.noise",
             "records.components",
             "records.train",
             "records.validation",
@@ -191,6 +192,7 @@ struct Passes<'a> {
     after_dir: Option<&'a Path>,
     axis: Axis,
     output_step_s: f64,
+    noise: Option<crate::records::DeclaredNoise>,
     /// Replays of the manifest as declared, recalibrated and, where something was corrected, corrected.
     declared: &'a Path,
     recalibrated: &'a Path,
@@ -218,6 +220,7 @@ impl<'a> Passes<'a> {
                 None => Axis { start_s: 0.0, step_s: task.section("pretrain.step_s")? },
             },
             output_step_s: task.section("analysis.output_step_s")?,
+            noise: task.optional("records.noise")?,
             declared: task.input("declared")?,
             recalibrated: task.input("recalibrated")?,
             corrected: is_corrected.then(|| task.input("corrected")).transpose()?,
@@ -313,7 +316,7 @@ impl<'a> Passes<'a> {
 
     /// NRMSE that noise leaves to the right model, %, with the amplification of the best model there is.
     fn floor(&self, record: &Record, sensor: usize, response: &[f64], observed: &[f64]) -> Option<f64> {
-        let noise = diagnosis::noise(record);
+        let noise = diagnosis::noise(record, self.noise);
         let response = resample_band_limited(response, self.output_step_s, record.dt_s);
         let pair = [noise.first()?, noise.get(sensor + 1)?];
         let nyquist_hz = 0.5 / self.axis.step_s;

@@ -82,7 +82,7 @@ impl<'a> Bench<'a> {
     ) -> Result<Self> {
         let rough = roughened(sections.clone(), diagnose);
         let sections = refined(sections, diagnose);
-        let noise: Vec<_> = events.iter().map(|(_, r)| r.iter().map(diagnosis::noise).collect()).collect();
+        let noise: Vec<_> = events.iter().map(|(_, r)| r.iter().map(|r| diagnosis::noise(r, settings.noise)).collect()).collect();
         let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
         let problem = problem(&sections, tolerances, &settings, &events, &noise)?;
         let quiet = |(mut record, noise): (Record, &Vec<NoiseSpectrum>)| {

@@ -124,6 +124,13 @@ pub fn read(folder: &Path) -> Result<Report> {
 }
 
 /// What every twin shares.
+struct Stderr(String);
+impl crate::progress::Progress for Stderr {
+    fn start(&self, _: &str, _: u64) {}
+    fn advance(&self, _: u64) {}
+    fn note(&self, text: &str) { eprintln!("  [{}] {text}", self.0); }
+}
+
 struct Stand {
     sections: ColumnSections,
     tolerances: Tolerances,
@@ -177,7 +184,15 @@ impl Stand {
         let start = std::time::Instant::now();
         let seen = self.record(&case.truth, &[Split::Train, Split::Validation])?;
         let bench = self.bench(seen)?;
-        let diagnosis = diagnose(&bench.problem, &bench, &self.settings, thresholds, &Quiet)?;
+        let diagnosis = if std::env::var("OLD_ENGINE").is_ok() {
+            diagnose(&bench.problem, &bench, &self.settings, thresholds, &Quiet)?
+        } else {
+            let compared = crate::inference::compete(&bench.problem, &bench, &self.settings, &Stderr(format!("{} {}", case.cell, case.number)))?;
+            if let Ok(dir) = std::env::var("DUMP") {
+                let _ = std::fs::write(format!("{dir}/{}-{}.json", case.cell.replace(' ', "_"), case.number), serde_json::to_string_pretty(&compared).unwrap_or_default());
+            }
+            compared.diagnosis()
+        };
         let held_out: Vec<Vec<Record>> =
             self.record(&case.truth, &[Split::Test])?.into_iter().map(|(_, records)| records).collect();
         let error = |tables: &[Table]| self.error(&bench, tables, &held_out);

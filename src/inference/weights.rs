@@ -1,0 +1,354 @@
+//! What a prediction is compared by: residuals in units of what is expected of them, and how that is read off the records.
+
+use super::covariance::Covariance;
+use super::forward::{At, Bins, Forward, Predicted, Prediction};
+use crate::diagnosis::spectra;
+use crate::numerics::smooth::running_mean;
+use rayon::prelude::*;
+use realfft::num_complex::Complex;
+use std::f64::consts::{LN_2, SQRT_2};
+use std::ops::Range;
+
+type C64 = Complex<f64>;
+
+/// Bands to an octave: what the column has wrong is taken to be one complex number in each.
+const AN_OCTAVE: f64 = 6.0;
+/// Least bins of a band.
+const LEAST_BINS: usize = 3;
+/// Knots of the coherence, between the ends of the frequency band at equal ratios.
+const KNOTS: usize = 7;
+/// Bins to either side over which the transfer function of the column is taken.
+const RESOLUTION: usize = 1;
+/// Noise of a sensor where nothing tells it, as a share of the RMS of its record within the frequency band.
+const USUAL_NOISE: f64 = 0.01;
+/// Bands that the declared error of the column counts for when its level is estimated.
+const PRIOR_BANDS: f64 = 10.0;
+/// Smallest coherence that is still told from none.
+const LEAST_COHERENCE: f64 = 0.05;
+/// Smallest power, as a share of the largest of a record.
+const FLOOR: f64 = 1e-12;
+
+/// What the records say of the field and of the column's error, beside one prediction of them.
+#[derive(Debug, Clone)]
+pub struct Spread {
+    /// Error of the column over the declared one, at least 1.
+    pub level: f64,
+    /// Coherence of each output sensor with its prediction at the knots.
+    pub coherence: Vec<Vec<f64>>,
+    /// What all records share of the residual of each output sensor, as a share of what the column adds: frequency in Hz, real and
+    /// imaginary part.
+    pub repeatable: Vec<Vec<[f64; 3]>>,
+}
+
+/// Residuals of all records in units of what is expected of them, record by record.
+pub type Rows = Vec<Vec<f64>>;
+
+/// One band of one sensor of one record.
+struct Band {
+    bins: Range<usize>,
+    /// One over the deviation expected of its ln amplitude, times the share of its power that strays.
+    weight: f64,
+    /// Power of noise in it.
+    noise: f64,
+}
+
+/// Weights of one record.
+struct Record {
+    sigma: Vec<Covariance>,
+    /// Coherence, `[sensor][bin]`.
+    coherence: Vec<Vec<f64>>,
+    bands: Vec<Vec<Band>>,
+}
+
+/// Residuals in units of what is expected of them.
+///
+/// ```text
+/// Y | U ~ CN( C Ŷ, Σ ),   Σ = (I − C²) ⟨|Y|²⟩ + S_out + H S_in Hᴴ + D,   D = (σ m)² N ⟨|Y − U|²⟩        (1)
+/// ln A | U ~ N( ln Â, 1/4n + (σ m)² R ),   weighted by the share of (I − C²) ⟨|Y|²⟩ in Σ without D         (2)
+/// ```
+///
+/// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. m is the declared error
+/// of the column, a share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of a band
+/// and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of anything smooth than a
+/// likelihood with that correlation would. Where the field strays from its base only amplitudes tell of the column: (2), A being the
+/// RMS amplitude of a band of n bins and R the number of records.
+///
+/// Σ is made of what was recorded and does not change with the prediction. So a prediction gains nothing by shrinking, and models that
+/// are compared are compared by one Σ. Cross terms between sensors are those of noise of the base alone.
+///
+/// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ; Kennedy and O'Hagan (2001),
+/// doi 10.1111/1467-9868.00294, for the error of the column.
+/// Check:  `damping_of_a_partly_coherent_field_is_found`, `levels_and_coherence_are_read_off_records`.
+pub struct Weights {
+    records: Vec<Record>,
+    /// −ln of the density of the records where every residual is nothing: the same for all models that take the same channels for the
+    /// same sensors.
+    pub constant: f64,
+}
+
+fn powers(x: &[C64]) -> Vec<f64> {
+    x.iter().map(C64::norm_sqr).collect()
+}
+
+/// Bands of equal ratio, as ranges of bins.
+fn bands(frequencies_hz: &[f64]) -> Vec<Range<usize>> {
+    let mut all = Vec::new();
+    let mut first = 0;
+    while first < frequencies_hz.len() {
+        let end_hz = frequencies_hz[first] * (1.0 / AN_OCTAVE).exp2();
+        let end = frequencies_hz.partition_point(|f| *f < end_hz).max(first + LEAST_BINS);
+        // What is left is no band of its own.
+        let end = if end + LEAST_BINS > frequencies_hz.len() { frequencies_hz.len() } else { end };
+        all.push(first..end);
+        first = end;
+    }
+    all
+}
+
+/// Hat functions over ln f with [`KNOTS`] knots: the knot below and the share of the one above.
+fn hat(frequency_hz: f64, [low, high]: [f64; 2]) -> (usize, f64) {
+    let x = (frequency_hz / low).ln() / (high / low).ln() * (KNOTS - 1) as f64;
+    let x = x.clamp(0.0, (KNOTS - 1) as f64);
+    let i = (x.floor() as usize).min(KNOTS - 2);
+    (i, x - i as f64)
+}
+
+/// The band that all records share, Hz.
+pub fn band_hz(forward: &Forward<'_>) -> [f64; 2] {
+    forward.groups.iter().fold([f64::INFINITY, 0.0f64], |[low, high], g| {
+        [low.min(g.frequencies_hz[0]), high.max(*g.frequencies_hz.last().unwrap_or(&1.0))]
+    })
+}
+
+/// Expected |noise|² of each bin of a channel: what the record shows of it before its event; or white, a share of the RMS within the
+/// band and nowhere more than what was recorded there, for processing may have emptied part of the band.
+fn noise(forward: &Forward<'_>, at: At, channel: usize) -> Vec<f64> {
+    let record = &forward.groups[at.group].records[at.record];
+    if forward.problem.events[record.event].noise[channel].is_measured {
+        return record.noise[channel].clone();
+    }
+    let power = powers(&record.channels[channel]);
+    let white = USUAL_NOISE * USUAL_NOISE * power.iter().sum::<f64>() / power.len().max(1) as f64;
+    let half = spectra::smoothing_bins(forward.frequencies_hz(at));
+    running_mean(&power, half).into_iter().map(|recorded| white.min(recorded).max(f64::MIN_POSITIVE)).collect()
+}
+
+/// Transfer functions of the outputs over the base.
+fn gains(predicted: &Predicted, half: usize) -> Bins {
+    let narrow = |x: Vec<f64>| running_mean(&x, RESOLUTION.min(half));
+    let base = narrow(powers(&predicted.base));
+    let floor = FLOOR * base.iter().copied().fold(f64::MIN_POSITIVE, f64::max);
+    let of = |y: &Vec<C64>| -> Vec<C64> {
+        let cross: Vec<C64> = y.iter().zip(&predicted.base).map(|(y, u)| y * u.conj()).collect();
+        let re = narrow(cross.iter().map(|c| c.re).collect());
+        let im = narrow(cross.iter().map(|c| c.im).collect());
+        re.iter().zip(&im).zip(&base).map(|((re, im), p)| C64::new(*re, *im) / (p + floor)).collect()
+    };
+    predicted.outputs.iter().map(of).collect()
+}
+
+impl Spread {
+    /// What the residuals of `prediction` show.
+    ///
+    /// ```text
+    /// γ² = |Σ Y Ŷ*|² / (Σ |Ŷ|² Σ (|Y|² − S)),   C² = (γ² − 1/n)/(1 − 1/n)                            (1)
+    /// δ  = Σ (Y − C Ŷ) (Ŷ − U)* / Σ |Ŷ − U|²                                                     (2)
+    /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (3)
+    /// ```
+    ///
+    /// Sums of (1) and (2) are over the bins of a band and all records, each weighted by its power; n is their number, S the power of
+    /// noise, and v what noise and straying make of δ by chance. ν bands count for the declared error m.
+    pub fn estimated(forward: &Forward<'_>, prediction: &Prediction) -> Self {
+        let n_sensor = forward.problem.array.outputs.len();
+        let ends = band_hz(forward);
+        let model = forward.problem.tolerances.model.max(1e-4);
+        let n_band = ((ends[1] / ends[0]).log2() * AN_OCTAVE).ceil().max(1.0) as usize;
+        let at_hz = |b: usize| ends[0] * (ends[1] / ends[0]).powf((b as f64 + 0.5) / n_band as f64);
+        let band_of = |f: f64| (((f / ends[0]).log2() * AN_OCTAVE) as usize).min(n_band - 1);
+        let (mut coherence, mut repeatable) = (Vec::new(), Vec::new());
+        let (mut sum, mut weight) = (PRIOR_BANDS, PRIOR_BANDS);
+        for s in 0..n_sensor {
+            // |Y|² less noise, |Ŷ|², Y Ŷ*, and the number of bins, by band.
+            let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
+            let each = |of: &mut dyn FnMut(usize, f64, f64, C64, C64, C64, f64)| {
+                for (at, p) in forward.records.iter().zip(prediction) {
+                    let noise = noise(forward, *at, p.channels[s + 1]);
+                    let total: f64 = powers(&p.measured[s]).iter().sum::<f64>().max(f64::MIN_POSITIVE);
+                    for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
+                        of(band_of(*f), *f, 1.0 / total, p.measured[s][k], p.outputs[s][k], p.base[k], noise[k]);
+                    }
+                }
+            };
+            each(&mut |b, _, w, y, predicted, _, noise| {
+                let m = &mut moments[b];
+                m.0 += w * (y.norm_sqr() - noise);
+                m.1 += w * predicted.norm_sqr();
+                m.2 += y * predicted.conj() * w;
+                m.3 += 1.0;
+            });
+            let mut knots = vec![[1e-9, 1e-9]; KNOTS];
+            for (b, (recorded, predicted, cross, n)) in moments.iter().enumerate().filter(|(_, m)| m.3 >= 2.0) {
+                let gamma = cross.norm_sqr() / (predicted * recorded.max(FLOOR)).max(f64::MIN_POSITIVE);
+                let square = ((gamma - 1.0 / n) / (1.0 - 1.0 / n)).clamp(0.0, 1.0);
+                let (i, w) = hat(at_hz(b), ends);
+                for (j, w) in [(i, 1.0 - w), (i + 1, w)] {
+                    knots[j][0] += w * n * square;
+                    knots[j][1] += w * n;
+                }
+            }
+            let own: Vec<f64> = knots.iter().map(|[a, b]| (a / b).sqrt().max(LEAST_COHERENCE)).collect();
+            let c = |f: f64| {
+                let (i, w) = hat(f, ends);
+                own[i] * (1.0 - w) + own[i + 1] * w
+            };
+            // Σ r a*, Σ |a|², Σ v |a|², by band.
+            let mut shared = vec![(C64::default(), 0.0, 0.0); n_band];
+            each(&mut |b, f, w, y, predicted, base, noise| {
+                let (added, c) = (predicted - base, c(f));
+                let m = &mut shared[b];
+                m.0 += (y - c * predicted) * added.conj() * w;
+                m.1 += w * added.norm_sqr();
+                m.2 += w * w * added.norm_sqr() * (noise + (1.0 - c * c) * y.norm_sqr());
+            });
+            let mut places = Vec::new();
+            for (b, (cross, square, strays)) in shared.into_iter().enumerate().filter(|(_, m)| m.1 > 0.0) {
+                let (delta, chance) = (cross / square, strays / (square * square));
+                let omega = (model * model / (model * model + chance)).powi(2);
+                sum += omega * (delta.norm_sqr() - chance) / (model * model);
+                weight += omega;
+                places.push([at_hz(b), delta.re, delta.im]);
+            }
+            coherence.push(own);
+            repeatable.push(places);
+        }
+        Self { level: (sum / weight).max(1.0).sqrt(), coherence, repeatable }
+    }
+
+    /// Coherence of output sensor `s` at the knots: frequency in Hz, and c.
+    pub fn at_knots(&self, s: usize, [low, high]: [f64; 2]) -> Vec<[f64; 2]> {
+        let at = |k: usize| low * (high / low).powf(k as f64 / (KNOTS - 1) as f64);
+        self.coherence[s].iter().enumerate().map(|(k, c)| [at(k), *c]).collect()
+    }
+}
+
+/// Power of what remains beside a prediction, over all records, each weighted alike: what is the same in all of them, what is not and
+/// is more than noise, and what was recorded.
+pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &Spread) -> [f64; 3] {
+    let mut sums = [0.0; 3];
+    let ends = band_hz(forward);
+    for (at, p) in forward.records.iter().zip(prediction) {
+        let gain = gains(p, RESOLUTION);
+        let input = noise(forward, *at, p.channels[0]);
+        for (s, y) in p.measured.iter().enumerate() {
+            let noise = noise(forward, *at, p.channels[s + 1]);
+            let total: f64 = powers(y).iter().sum::<f64>().max(f64::MIN_POSITIVE);
+            let repeatable = |f: f64| {
+                let place = spread.repeatable[s].partition_point(|[at, ..]| *at < f);
+                spread.repeatable[s].get(place).map_or(C64::default(), |[_, re, im]| C64::new(*re, *im))
+            };
+            for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
+                let (i, w) = hat(*f, ends);
+                let c = spread.coherence[s][i] * (1.0 - w) + spread.coherence[s][i + 1] * w;
+                let same = repeatable(*f) * (p.outputs[s][k] - p.base[k]);
+                let expected = noise[k] + gain[s][k].norm_sqr() * input[k];
+                sums[0] += same.norm_sqr() / total;
+                sums[1] += ((y[k] - c * p.outputs[s][k] - same).norm_sqr() - expected) / total;
+                sums[2] += y[k].norm_sqr() / total;
+            }
+        }
+    }
+    sums.map(|s: f64| s.max(0.0))
+}
+
+impl Weights {
+    /// Weights of the records by `spread`, the transfer functions those of `prediction`.
+    pub fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
+        let indices: Vec<usize> = (0..forward.records.len()).collect();
+        let all: Vec<(Record, f64)> =
+            indices.par_iter().map(|i| Self::of(forward, spread, *i, &prediction[*i])).collect();
+        let (records, constants): (Vec<Record>, Vec<f64>) = all.into_iter().unzip();
+        Self { records, constant: constants.iter().sum() }
+    }
+
+    fn of(forward: &Forward<'_>, spread: &Spread, index: usize, predicted: &Predicted) -> (Record, f64) {
+        let at = forward.records[index];
+        let f = forward.frequencies_hz(at);
+        let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
+        let (n_sensor, n_record) = (predicted.outputs.len(), forward.records.len() as f64);
+        let level = spread.level * forward.problem.tolerances.model.max(1e-4);
+        let gain = gains(predicted, half);
+        let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
+        let channels = &forward.groups[at.group].records[at.record].channels;
+        let input = running_mean(&powers(&channels[predicted.channels[0]]), half);
+        let recorded: Vec<Vec<f64>> = predicted.measured.iter().map(|y| running_mean(&powers(y), half)).collect();
+        let beside_base = |y: &Vec<C64>| -> Vec<f64> {
+            let power: Vec<f64> = y.iter().zip(&predicted.base).map(|(y, u)| (y - u).norm_sqr()).collect();
+            running_mean(&power, half)
+        };
+        let added: Vec<Vec<f64>> = predicted.measured.iter().map(beside_base).collect();
+        let coherence: Vec<Vec<f64>> = spread
+            .coherence
+            .iter()
+            .map(|knots| {
+                let at = |f: &f64| {
+                    let (i, w) = hat(*f, ends);
+                    knots[i] * (1.0 - w) + knots[i + 1] * w
+                };
+                f.iter().map(at).collect()
+            })
+            .collect();
+        let strays = |s: usize, k: usize| (1.0 - coherence[s][k].powi(2)).max(0.0) * recorded[s][k];
+        let step_hz = f[1] - f[0];
+        let sigma = |k: usize| {
+            let n_bin = (f[k] * ((LN_2 / AN_OCTAVE).exp() - 1.0) / step_hz).max(1.0);
+            let d = |s: usize| {
+                let own = level * level * n_bin * n_record * added[s][k];
+                (noise[s + 1][k] + strays(s, k) + own).max(f64::MIN_POSITIVE)
+            };
+            Covariance::new((0..n_sensor).map(d).collect(), gain.iter().map(|h| h[k]), noise[0][k])
+        };
+        let band = |s: usize, bins: Range<usize>| {
+            let n = bins.len() as f64;
+            let sum = |of: &dyn Fn(usize) -> f64| bins.clone().map(of).sum::<f64>();
+            let noisy = sum(&|k| noise[s + 1][k] + gain[s][k].norm_sqr() * noise[0][k]);
+            let stray = sum(&|k| strays(s, k));
+            let share = stray / (stray + noisy).max(f64::MIN_POSITIVE);
+            let weight = share / (0.25 / n + level * level * n_record).sqrt();
+            Band { weight, noise: sum(&|k| noise[s + 1][k]), bins }
+        };
+        let sigma: Vec<Covariance> = (0..f.len()).map(sigma).collect();
+        let constant = sigma.iter().map(Covariance::ln_determinant).sum::<f64>()
+            + input.iter().map(|p| p.max(f64::MIN_POSITIVE).ln()).sum::<f64>();
+        let bands = (0..n_sensor).map(|s| bands(f).into_iter().map(|b| band(s, b)).collect()).collect();
+        (Record { sigma, coherence, bands }, constant)
+    }
+
+    /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
+    pub fn rows(&self, prediction: &Prediction) -> Rows {
+        self.records.par_iter().zip(prediction).map(|(record, p)| record.rows(p)).collect()
+    }
+}
+
+impl Record {
+    fn rows(&self, p: &Predicted) -> Vec<f64> {
+        let n = p.outputs.len();
+        let mut rows = Vec::with_capacity(2 * n * self.sigma.len() + self.bands.iter().map(Vec::len).sum::<usize>());
+        let mut residual = vec![C64::default(); n];
+        for (k, sigma) in self.sigma.iter().enumerate() {
+            for (s, r) in residual.iter_mut().enumerate() {
+                *r = p.measured[s][k] - self.coherence[s][k] * p.outputs[s][k];
+            }
+            sigma.whiten(&mut residual);
+            rows.extend(residual.iter().flat_map(|r| [SQRT_2 * r.re, SQRT_2 * r.im]));
+        }
+        for (s, bands) in self.bands.iter().enumerate() {
+            for band in bands {
+                let power = |x: &[C64]| x[band.bins.clone()].iter().map(C64::norm_sqr).sum::<f64>();
+                let (recorded, predicted) = (power(&p.measured[s]), power(&p.outputs[s]) + band.noise);
+                let ln = 0.5 * (recorded.max(f64::MIN_POSITIVE) / predicted.max(f64::MIN_POSITIVE)).ln();
+                rows.push(band.weight * ln);
+            }
+        }
+        rows
+    }
+}
