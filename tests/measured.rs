@@ -42,7 +42,7 @@ fn problem(truth: Option<&str>) -> Option<Problem> {
         dt_s: record.dt_s,
         input: record.input.acceleration_m_s2.clone(),
         outputs: record.outputs.iter().map(|s| s.acceleration_m_s2.clone()).collect(),
-        noise: diagnosis::noise(record),
+        noise: diagnosis::noise(record, None),
     };
     Some(Problem {
         array: sections.array(&settings.components).expect("an array"),

@@ -85,14 +85,14 @@ pub use independence::{Independence, independence};
 pub use noise::{denoised, noise, noisier};
 pub use null_twins::{drawn, thresholds};
 pub use outcome::{
-    Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Thresholds, ToleranceAlarm, UpperBound,
-    Verdict,
+    Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Rest, RestVerdict, Thresholds, ToleranceAlarm,
+    UpperBound, Verdict,
 };
 pub use power::{Confusion, Power, Sensitivity, power};
 pub use problem::{Event, Motions, NoiseSpectrum, Problem, Replay};
 pub use repeatable::{Partition, partition};
 pub use responses::Scene;
-pub use settings::DiagnoseSettings;
+pub use settings::{DiagnoseSettings, Method};
 pub use simulated::Disturbance;
 pub use standing::{Standing, standing};
 pub use tuning::Tuning;

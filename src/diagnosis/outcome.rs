@@ -103,7 +103,7 @@ pub struct UpperBound {
 }
 
 /// Where structure remains: mean squared whitened residual, 1 where there is only noise.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Remainder {
     /// Edges of the frequency bands, Hz.
     pub edges_hz: Vec<f64>,
@@ -142,6 +142,37 @@ pub struct Excess {
     pub validation: f64,
 }
 
+/// What remains beside the answer, in a word.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RestVerdict {
+    /// No more than noise of sensors and the declared error of the model itself.
+    Noise,
+    /// Motion that does not follow the base in the same way in all events.
+    Incoherent,
+    /// Something that is the same in all events and has no name.
+    Unnamed,
+}
+
+/// What remains beside the answer.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Rest {
+    /// In a word.
+    pub verdict: RestVerdict,
+    /// Its power over that of the records, noise of sensors taken off.
+    pub share: f64,
+    /// The part of it that is the same in all events.
+    pub repeatable_share: f64,
+    /// Coherence of each output sensor with the prediction: frequency in Hz, and c.
+    pub coherence: BTreeMap<String, Vec<[f64; 2]>>,
+    /// What is the same in all events of each output sensor, as a share of what the column adds to its base: frequency in Hz, real and
+    /// imaginary part.
+    #[serde(rename = "where")]
+    pub place: BTreeMap<String, Vec<[f64; 3]>>,
+    /// Error of the column over the declared one, at least 1.
+    pub level: f64,
+}
+
 /// `diagnosis.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Diagnosis {
@@ -176,12 +207,15 @@ pub struct Diagnosis {
     /// What the residuals of the corrected model say by themselves.
     #[serde(default)]
     pub evidence: Evidence,
+    /// What remains beside the answer, where the diagnosis says it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rest: Option<Rest>,
     /// Remarks for people.
     pub notes: Vec<String>,
 }
 
 /// Alarm thresholds of one array, from null twins of it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Thresholds {
     /// Gain (after the charge) above which an effect is an alarm.
     pub gain: f64,

@@ -3,10 +3,25 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// How it is decided what the declared model lacks.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Method {
+    /// A forward search with alarm thresholds from null twins; whatever is unexplained counts as noise of the sensors. Best tried on twins
+    /// that this program makes.
+    #[default]
+    Search,
+    /// A competition of models by their evidence; the field may be partly incoherent, and the column may be wrong within
+    /// `tolerances.model`. For measured records and those of other programs.
+    Competition,
+}
+
 /// Search and decision of the diagnosis (manifest section `[diagnose]`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DiagnoseSettings {
+    /// How it is decided what is missing.
+    pub method: Method,
     /// Seed of the null twins.
     pub seed: u64,
     /// Lowest and highest frequency compared, Hz; the record's own time step may lower the upper one.
@@ -37,6 +52,7 @@ pub struct DiagnoseSettings {
 impl Default for DiagnoseSettings {
     fn default() -> Self {
         Self {
+            method: Method::Search,
             seed: 1,
             band_hz: [0.2, 9.5],
             null_twins: 60,

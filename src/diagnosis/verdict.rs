@@ -81,6 +81,7 @@ pub(super) fn assemble(search: &Search<'_>, path: &Path, thresholds: &Thresholds
         remainder,
         evidence,
         notes,
+        rest: None,
     })
 }
 

@@ -86,10 +86,6 @@ impl Effect for Contractancy {
         layers::refusal(profile, self.top_m, self.bottom_m, &LAWS_THAT_CONTRACT, "a contraction of its own")
     }
 
-    fn is_within_programs(&self) -> bool {
-        true
-    }
-
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.ln_factor == 0.0 {
             return;

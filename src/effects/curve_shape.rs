@@ -113,10 +113,6 @@ impl Effect for CurveShape {
         layers::refusal(profile, self.top_m, self.bottom_m, &LAWS_WITH_CURVES, "curves of a declared shape")
     }
 
-    fn is_within_programs(&self) -> bool {
-        true
-    }
-
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.ln_curvature == 0.0 && self.ln_hysteresis == 0.0 {
             return;

@@ -151,10 +151,6 @@ impl Effect for FrequencyDependentDamping {
         (!is_met).then(|| format!("{what} (law {}, `damping_ratio` not 0)", LAWS_WITH_MEMORY.join(" or ")))
     }
 
-    fn is_within_programs(&self) -> bool {
-        true
-    }
-
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.exponent != 0.0 || self.ln_ratio != 0.0 {
             for layer in layers::between(profile, self.top_m, self.bottom_m).filter(|layer| has_memory(layer)) {

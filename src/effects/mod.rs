@@ -65,12 +65,6 @@ pub trait Effect: Send + Sync {
     /// Edits the set-up of the column.
     fn edit(&self, _profile: &mut Profile, _situation: &Situation) {}
 
-    /// Whether two programs that compute the same declared column differ by a little of it: in algorithmic damping, in the rule of
-    /// unloading, in how a law of soil is integrated.
-    fn is_within_programs(&self) -> bool {
-        false
-    }
-
     /// Why it has nothing to act on in `profile`, where that is so.
     fn refusal(&self, _profile: &Profile) -> Option<String> {
         None

@@ -89,10 +89,6 @@ impl Effect for Nonlinearity {
         layers::refusal(profile, self.top_m, self.bottom_m, &LAWS_WITH_STRENGTH, "a reference strain")
     }
 
-    fn is_within_programs(&self) -> bool {
-        true
-    }
-
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         if self.ln_gamma_ref == 0.0 {
             return;

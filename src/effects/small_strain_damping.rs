@@ -70,10 +70,6 @@ impl SmallStrainDamping {
 }
 
 impl Effect for SmallStrainDamping {
-    fn is_within_programs(&self) -> bool {
-        true
-    }
-
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         let m = self.multiplier;
         if m == 1.0 {

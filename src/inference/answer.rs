@@ -6,12 +6,15 @@ use super::forward::{Forward, Prediction};
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
 use super::weights::{Spread, band_hz, residual_powers};
-use crate::diagnosis::{DiagnoseSettings, Estimate, Problem, Replay, Verdict};
-use crate::effects;
+use crate::diagnosis::{
+    Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Remainder, Replay, Rest, RestVerdict, ToleranceAlarm,
+    Verdict,
+};
+use crate::effects::Instance;
+use crate::records::Split;
 use crate::error::Result;
 use crate::metrics::t_quantile;
 use crate::progress::Progress;
-use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Largest probability that nothing is missing beside which an effect is named.
@@ -27,93 +30,21 @@ const STILL: f64 = 0.1;
 const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: true };
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
 const UNNAMED: f64 = 2.0;
-
-/// What remains beside the answer, in a word.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum RestVerdict {
-    /// No more than noise of sensors and the declared error of the model itself.
-    Noise,
-    /// Motion that does not follow the base in the same way in all events.
-    Incoherent,
-    /// Something that is the same in all events and has no name.
-    Unnamed,
-}
-
-/// What remains beside the answer.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Rest {
-    /// In a word.
-    pub verdict: RestVerdict,
-    /// Its power over that of the records, noise of sensors taken off.
-    pub share: f64,
-    /// The part of it that is the same in all events.
-    pub repeatable_share: f64,
-    /// Coherence of each output sensor with the prediction: frequency in Hz, and c.
-    pub coherence: BTreeMap<String, Vec<[f64; 2]>>,
-    /// What is the same in all events of each output sensor, as a share of what the column adds to its base: frequency in Hz, real and
-    /// imaginary part.
-    #[serde(rename = "where")]
-    pub place: BTreeMap<String, Vec<[f64; 3]>>,
-    /// Error of the column over the declared one, at least 1.
-    pub level: f64,
-}
-
-/// A named effect.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Named {
-    /// Name of the effect.
-    pub kind: String,
-    /// Where it sits, for people; empty for the whole column.
-    pub target: String,
-    /// Its `[[effects]]` table.
-    pub table: toml::Table,
-    /// Its parameters by name, with 95 % intervals.
-    pub parameters: BTreeMap<String, Estimate>,
-}
-
-/// A set of kinds with its posterior probability.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Probable {
-    /// Kinds of the effects; none where nothing is missing.
-    pub kinds: Vec<String>,
-    /// Posterior probability among all models that were fitted.
-    pub probability: f64,
-}
-
-/// `competition.json`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Compared {
-    /// What is named: `unknown` only where nothing is and something that is the same in all events remains.
-    pub verdict: Verdict,
-    /// Named effects.
-    pub effects: Vec<Named>,
-    /// Sets of kinds, most probable first.
-    pub probabilities: Vec<Probable>,
-    /// Declared values recalibrated without any effect, as `[[effects]]`.
-    pub recalibrated: Vec<toml::Table>,
-    /// The same beside the named effects.
-    pub beside: Vec<toml::Table>,
-    /// Power of the residual over that of the records, mean over training and validation records and sensors: as declared,
-    /// recalibrated, with the answer.
-    pub residual_share: [f64; 3],
-    /// What remains.
-    pub rest: Rest,
-}
+/// Prior standard deviations beyond which a declared value is out of its tolerance.
+const STRAINED: f64 = 3.0;
 
 /// Names what the declared model lacks.
 ///
 /// # Errors
 /// When an event is unusable, the column cannot be built, or the declared column cannot be replayed.
-pub fn compete(
+pub fn diagnose(
     problem: &Problem,
     replay: &dyn Replay,
     settings: &DiagnoseSettings,
     progress: &dyn Progress,
-) -> Result<Compared> {
+) -> Result<Diagnosis> {
     let forward = Forward::new(problem, replay, settings)?;
     let plain = Declared::new(problem)?;
-    let declared_error = forward.predict(&[])?;
     let (spread, start) = recalibrated(&forward, &plain)?;
     progress.note(&format!("recalibrated: level {:.2}, {} replays", spread.level, forward.replays()));
     // What few elements leave wrong is taken out where it matters.
@@ -129,7 +60,7 @@ pub fn compete(
     let mut competition = Competition::new(fitter, fit, settings.max_effects);
     competition.run(progress)?;
     progress.note(&format!("{} replays", forward.replays()));
-    Ok(Answer { forward: &forward, competition: &competition, problem }.assembled(&declared_error))
+    Ok(Answer { forward: &forward, competition: &competition, problem }.assembled())
 }
 
 /// What is declared, most probable within its tolerances: what the records say of the field and of the column's error is read off
@@ -160,7 +91,7 @@ struct Answer<'c, 'a> {
 }
 
 impl Answer<'_, '_> {
-    fn assembled(&self, declared: &Prediction) -> Compared {
+    fn assembled(&self) -> Diagnosis {
         let plain = &self.competition.fits[0];
         let mass = self.masses();
         let nothing = mass.get(&Vec::new()).copied().unwrap_or(0.0);
@@ -175,22 +106,71 @@ impl Answer<'_, '_> {
             (false, _, RestVerdict::Unnamed) => Verdict::Unknown,
             (false, ..) => Verdict::None,
         };
-        let mut probabilities: Vec<Probable> = mass
-            .iter()
-            .filter(|(_, p)| **p > 0.001)
-            .map(|(kinds, p)| Probable { kinds: kinds.iter().map(ToString::to_string).collect(), probability: *p })
-            .collect();
-        probabilities.sort_by(|a, b| b.probability.total_cmp(&a.probability));
+        let mut ambiguity: Vec<String> = Vec::new();
+        for (kinds, probability) in mass.iter().filter(|_| verdict == Verdict::Ambiguous) {
+            for kind in kinds.iter().filter(|_| *probability > NOTHING) {
+                if !ambiguity.iter().any(|known| known == kind) {
+                    ambiguity.push((*kind).to_string());
+                }
+            }
+        }
         let range = answer.model.declared.len();
-        Compared {
+        Diagnosis {
             verdict,
             effects: if is_named { self.found(answer) } else { Vec::new() },
-            probabilities,
-            recalibrated: plain.model.declared.tables(&plain.x),
-            beside: answer.model.declared.tables(&answer.x[..range]),
-            residual_share: [declared, &plain.prediction, &answer.prediction].map(|p| self.misfit(p)),
-            rest,
+            ambiguity,
+            nuisances: plain.model.declared.tables(&plain.x),
+            corrected_nuisances: answer.model.declared.tables(&answer.x[..range]),
+            candidates: self.candidates(),
+            explained_share: is_named.then(|| self.explained_share(answer)),
+            input_coherent_share: None,
+            declared: Default::default(),
+            recalibrated: Default::default(),
+            corrected: Default::default(),
+            tolerance_alarms: strained(answer),
+            upper_bounds: Vec::new(),
+            remainder: Remainder::default(),
+            evidence: Default::default(),
+            notes: vec![sentence(&rest)],
+            rest: Some(rest),
         }
+    }
+
+    /// Models that were fitted, most probable first.
+    fn candidates(&self) -> Vec<Candidate> {
+        let plain = &self.competition.fits[0];
+        let of = |fit: &Fit<'_>| {
+            let first = fit.model.effects.first()?;
+            let joined = |of: &dyn Fn(&Instance) -> String| {
+                fit.model.effects.iter().map(of).filter(|t| !t.is_empty()).collect::<Vec<_>>().join(" + ")
+            };
+            Some(Candidate {
+                kind: joined(&|e| e.kind.to_string()),
+                target: joined(&|e| e.place()),
+                class: first.class(),
+                gain: self.competition.log_posterior(fit) - self.competition.log_posterior(plain),
+                validation_gain: self.validation_cost(plain) - self.validation_cost(fit),
+                explained_share: self.explained_share(fit),
+                round: fit.model.effects.len(),
+                is_confirmed: true,
+                table: fit.model.effect_table(&fit.x, 0),
+            })
+        };
+        let mut all: Vec<Candidate> = self.competition.fits.iter().filter_map(of).collect();
+        all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
+        all
+    }
+
+    /// Half the squared residuals of the validation events.
+    fn validation_cost(&self, fit: &Fit<'_>) -> f64 {
+        let is_meant = |at: &&super::forward::At| self.forward.groups[at.group].split == Split::Validation;
+        let records = self.forward.records.iter().zip(fit.rows.iter()).filter(|(at, _)| is_meant(at));
+        records.flat_map(|(_, rows)| rows).map(|r| 0.5 * r * r).sum()
+    }
+
+    /// Share of the power of the recalibrated model's residual that is not there any more.
+    fn explained_share(&self, fit: &Fit<'_>) -> f64 {
+        1.0 - self.misfit(&fit.prediction) / self.misfit(&self.competition.fits[0].prediction).max(f64::MIN_POSITIVE)
     }
 
     /// Posterior probability of each set of kinds.
@@ -246,10 +226,10 @@ impl Answer<'_, '_> {
     }
 
     /// Named effects; an interval is that of the curvature or of leaving one event out, whichever is wider.
-    fn found(&self, fit: &Fit<'_>) -> Vec<Named> {
+    fn found(&self, fit: &Fit<'_>) -> Vec<Found> {
         let groups: Vec<usize> = self.forward.records.iter().map(|at| at.group).collect();
         let spread = half_widths(fit, &groups);
-        let of = |(index, instance): (usize, &effects::Instance)| {
+        let of = |(index, instance): (usize, &Instance)| {
             let start = fit.model.start(index);
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
                 let (x, half, p) = (fit.x[start + i], spread[start + i], free.parameter);
@@ -258,11 +238,15 @@ impl Answer<'_, '_> {
                 let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
                 (p.name.to_string(), Estimate { value: p.value(x), unit: p.unit.to_string(), ci95 })
             });
-            Named {
+            Found {
                 kind: instance.kind.to_string(),
                 target: instance.place(),
+                class: instance.class(),
                 table: fit.model.effect_table(&fit.x, index),
                 parameters: parameters.collect(),
+                gain: self.competition.log_posterior(fit) - self.competition.log_posterior(&self.competition.fits[0]),
+                validation_gain: self.validation_cost(&self.competition.fits[0]) - self.validation_cost(fit),
+                is_standing: false,
             }
         };
         fit.model.effects.iter().enumerate().map(of).collect()
@@ -295,21 +279,106 @@ fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
     kinds
 }
 
-impl Compared {
-    /// The same as a [`crate::diagnosis::Diagnosis`].
-    pub fn diagnosis(&self) -> crate::diagnosis::Diagnosis {
-        use crate::diagnosis::{Candidate, Found};
-        let class = |kind: &str| effects::find(kind).map_or(effects::Class::Soil, |e| e.catalogue.class);
-        let found: Vec<Found> = self.effects.iter().map(|n| Found { kind: n.kind.clone(), target: n.target.clone(), class: class(&n.kind), table: n.table.clone(), parameters: n.parameters.clone(), gain: 0.0, validation_gain: 0.0, is_standing: false }).collect();
-        let candidates: Vec<Candidate> = self.probabilities.iter().filter(|p| !p.kinds.is_empty()).map(|p| Candidate { kind: p.kinds[0].clone(), target: String::new(), class: class(&p.kinds[0]), gain: p.probability, validation_gain: 0.0, explained_share: 0.0, round: 1, is_confirmed: true, table: toml::Table::new() }).collect();
-        let mut ambiguity: Vec<String> = Vec::new();
-        if self.verdict == Verdict::Ambiguous { for p in &self.probabilities { for k in &p.kinds { if p.probability > 0.05 && !ambiguity.contains(k) { ambiguity.push(k.clone()); } } } }
-        crate::diagnosis::Diagnosis {
-            verdict: self.verdict, effects: found, ambiguity, nuisances: self.recalibrated.clone(), corrected_nuisances: self.beside.clone(), candidates,
-            explained_share: None, input_coherent_share: None, declared: Default::default(), recalibrated: Default::default(), corrected: Default::default(),
-            tolerance_alarms: Vec::new(), upper_bounds: Vec::new(),
-            remainder: crate::diagnosis::Remainder { edges_hz: Vec::new(), sensor_band: BTreeMap::new(), sensor_phase: BTreeMap::new(), event: Vec::new() },
-            evidence: Default::default(), notes: Vec::new(),
+/// Tolerances of other things than velocities that the records put farther from what is declared than [`STRAINED`].
+fn strained(fit: &Fit<'_>) -> Vec<ToleranceAlarm> {
+    let declared = fit.model.declared;
+    let covariance = fit.covariance();
+    let of = |(i, tolerance): (usize, &super::parameters::Tolerance)| {
+        let at = declared.n_mode() + i;
+        let deviations = fit.x[at];
+        let parameter = tolerance.instance.free[0].parameter;
+        let half = NORMAL * covariance.as_ref().map_or(0.0, |c| c[(at, at)].sqrt());
+        let value = |z: f64| parameter.value(tolerance.coordinate(z));
+        let what = format!("{} {}", tolerance.instance.kind.replace('_', " "), tolerance.instance.place());
+        (deviations.abs() > STRAINED).then(|| ToleranceAlarm {
+            what: what.trim().to_string(),
+            deviations: deviations.abs(),
+            estimate: Estimate {
+                value: value(deviations),
+                unit: parameter.unit.to_string(),
+                ci95: [value(deviations - half), value(deviations + half)],
+            },
+        })
+    };
+    declared.others.iter().enumerate().filter_map(of).collect()
+}
+
+/// What remains, in a sentence.
+fn sentence(rest: &Rest) -> String {
+    let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+    match rest.verdict {
+        RestVerdict::Noise => {
+            "What remains is no more than noise of the sensors and the declared error of the column.".into()
         }
+        RestVerdict::Incoherent => format!(
+            "What remains, {} of the power of the records, does not follow the base in the same way in all events: no correction of the \
+             site removes it.",
+            percent(rest.share)
+        ),
+        RestVerdict::Unnamed => format!(
+            "What remains has a part that is the same in all events and has no name: {} of the power of the records, {:.1} times the \
+             error that the column is declared to have (`tolerances.model`).",
+            percent(rest.repeatable_share),
+            rest.level
+        ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{DAMPING, Truth, Uniform, problem};
+    use super::*;
+    use crate::progress::Quiet;
+
+    const FEW: Truth<'static> =
+        Truth { table: "", soil: [200.0, DAMPING], noise_m_s2: 0.01, coherence: |_| 1.0, seed: 5, events: 4 };
+
+    fn diagnosed(truth: &Truth<'_>) -> Diagnosis {
+        let problem = problem(truth);
+        diagnose(&problem, &Uniform(&problem), &DiagnoseSettings::default(), &Quiet).unwrap()
+    }
+
+    #[test]
+    fn nothing_is_named_where_nothing_is_missing() {
+        let found = diagnosed(&Truth { soil: [204.0, 0.022], ..FEW });
+        assert_eq!((found.verdict, found.effects.len()), (Verdict::None, 0), "{:?}", found.candidates.first());
+        assert_eq!(found.rest.unwrap().verdict, RestVerdict::Noise);
+    }
+
+    #[test]
+    fn a_late_clock_is_named_with_an_interval_that_holds() {
+        let table = "kind = 'clock_offset'\nsensor = 'mid'\noffset_s = 0.025";
+        let found = diagnosed(&Truth { table, ..FEW });
+        assert_eq!((found.verdict, found.effects.len()), (Verdict::Known, 1), "{:?}", found.candidates);
+        assert_eq!(found.effects[0].kind, "clock_offset");
+        let [low, high] = found.effects[0].parameters["offset_s"].ci95;
+        assert!(low <= 0.025 && 0.025 <= high, "{:?}", found.effects[0].parameters);
+        assert!(found.explained_share.unwrap() > 0.8, "{:?}", found.explained_share);
+    }
+
+    #[test]
+    fn exchanged_labels_are_named_and_soft_soil_is_no_exchange() {
+        let table = "kind = 'swapped_channels'\nsensor = 'mid'\nwith = 'top'";
+        let kinds = |found: &Diagnosis| found.effects.iter().map(|e| e.kind.clone()).collect::<Vec<_>>();
+        let found = diagnosed(&Truth { table, ..FEW });
+        assert_eq!(kinds(&found), ["swapped_channels"], "{:?}", found.candidates);
+        // Soft soil that recalibration does not reach is no exchange of labels.
+        let found = diagnosed(&Truth { soil: [150.0, DAMPING], ..FEW });
+        assert!(kinds(&found).iter().all(|k| k == "layer_velocity") && !found.effects.is_empty(), "{:?}", found.candidates);
+    }
+
+    #[test]
+    fn what_is_known_is_named_beside_a_field_that_strays() {
+        let coherence = |f: f64| if f < 1.0 { 0.97 } else { (0.97 - 0.25 * f.ln()).max(0.4) };
+        let found = diagnosed(&Truth { soil: [200.0, 0.08], coherence, ..FEW });
+        assert_eq!(found.verdict, Verdict::Known, "{:?}", found.candidates);
+        assert_eq!(found.effects[0].kind, "small_strain_damping");
+        let beside = found.corrected_nuisances.iter().find(|t| t["kind"].as_str() == Some("small_strain_damping"));
+        let beside = beside.and_then(|t| t["multiplier"].as_float()).unwrap_or(1.0);
+        let damping_ratio = DAMPING * beside * found.effects[0].parameters["multiplier"].value;
+        assert!((damping_ratio / 0.08 - 1.0).abs() < 0.1, "{damping_ratio}");
+        let rest = found.rest.unwrap();
+        assert_eq!(rest.verdict, RestVerdict::Incoherent);
+        assert!(rest.coherence["top"].iter().all(|[f, c]| (c - coherence(*f)).abs() < 0.1), "{:?}", rest.coherence);
     }
 }

@@ -20,7 +20,7 @@ use std::sync::Arc;
 
 /// Single effects and pairs that are fitted around one model, and how many of all to the end.
 const HEATS: usize = 4;
-const FINALS: usize = 2;
+const FINALS: usize = 3;
 /// Steps of the first fits.
 const HEAT: Stop = Stop { steps: 5, gain: 0.3, is_exact: false };
 /// ln of the odds against the best within which models are fitted again when what is expected of residuals has changed.
@@ -36,8 +36,9 @@ const NODES: [f64; 2] = [0.6, 1.8];
 const FARTHEST: f64 = 1.4;
 /// Prior probability of one effect more.
 const ONE_MORE: f64 = 0.25;
-/// Prior standard deviations beyond which tolerances may stand in for an effect.
-const STRAINED: f64 = 1.5;
+/// Prior standard deviations beyond which tolerances stand in for an effect, and level of the column's error from which one is missing.
+const STRAINED: f64 = 3.0;
+const STRONG: f64 = 1.1;
 /// Change of the column's level (ln) and of a coherence from which models are compared anew.
 const CHANGED: [f64; 2] = [0.1, 0.05];
 
@@ -183,24 +184,33 @@ impl<'a> Competition<'a> {
             }
         };
         self.expanded.push(effects);
-        let mut proposals = self.proposals(&base);
+        let mut points = vec![base.clone()];
         if base.x[..base.model.declared.len()].iter().any(|z| z.abs() > STRAINED) {
-            proposals.extend(self.proposals(&self.relaxed(&base)?));
+            points.push(self.relaxed(&base)?);
         }
-        proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
-        // A pair that holds what a single one holds is always as good before it is fitted.
-        let (singles, pairs): (Vec<Proposal>, Vec<Proposal>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
         let mut heats: Vec<Fit<'a>> = Vec::new();
-        for set in distinct(singles).into_iter().chain(distinct(pairs)) {
-            let mut all = base.model.effects.clone();
-            all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
-            let model = Model { declared: base.model.declared, effects: all };
-            let x = self.started(&base, &model, &set);
-            let slopes = base.slopes.iter().cloned().map(Some).collect();
-            heats.extend(self.fitter.fit(Start { model, x, slopes }, HEAT));
+        for point in &points {
+            let mut proposals = self.proposals(point);
+            proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
+            // A pair that holds what a single one holds is always as good before it is fitted.
+            let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
+            for set in distinct(singles).into_iter().chain(distinct(pairs)) {
+                let mut all = base.model.effects.clone();
+                all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
+                let model = Model { declared: base.model.declared, effects: all };
+                let x = self.started(point, &model, &set);
+                let slopes = point.slopes.iter().cloned().map(Some).collect();
+                heats.extend(self.fitter.fit(Start { model, x, slopes }, HEAT));
+            }
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
-        for heat in heats.into_iter().take(FINALS) {
+        let mut finals: Vec<Fit<'a>> = Vec::new();
+        for heat in heats {
+            if finals.len() < FINALS && !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects)) {
+                finals.push(heat);
+            }
+        }
+        for heat in finals {
             self.finish(heat, progress);
         }
         self.move_places(progress);
@@ -264,9 +274,8 @@ impl<'a> Competition<'a> {
     fn relaxed(&self, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let mut x = fit.x.clone();
         x[..fit.model.declared.len()].fill(0.0);
-        let prediction = self.fitter.predict(&fit.model, &x)?;
-        let (rows, constant) = self.fitter.rows(&prediction);
-        Ok(Fit { x, prediction, rows, constant, ..fit.clone() })
+        let none = Stop { steps: 0, ..Stop::EXACT };
+        self.fitter.fit(Start { model: fit.model.clone(), x, slopes: Vec::new() }, none)
     }
 
     /// Keeps the better fit of each model.
@@ -286,7 +295,7 @@ impl<'a> Competition<'a> {
         format!("{}: ln odds {gained:+.1} against nothing missing; {replays} replays", named.join("+ "))
     }
 
-    /// Where to start a fit of `set` beside `base`: where the linear problem puts it, or on the way there, as far as the column agrees.
+    /// Where to start a fit of `set` beside the point `base`: where the linear problem puts it, or on the way there, as far as the column agrees.
     fn started(&self, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
         let at = |share: f64| {
             let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, to)| x + share * (to - x)).collect();
@@ -371,6 +380,10 @@ impl<'a> Competition<'a> {
 
     /// Further nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point.
     fn further(&self, base: &Fit<'a>, directions: &[Direction]) -> Vec<Node> {
+        // Where something strong is missing, what is linear beside a model that lacks it says little of places.
+        let strained = base.x[..base.model.declared.len()].iter().any(|z| z.abs() > STRAINED);
+        let is_strong = self.fitter.spread().level > STRONG || strained;
+        let [places, most] = if is_strong { [usize::MAX; 2] } else { [PLACES, SHORTLIST] };
         let mut forms: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();
         let mut found = 0;
@@ -378,18 +391,22 @@ impl<'a> Competition<'a> {
             let (instance, toward) = &single.parts[0];
             let count = forms.entry(form(instance)).or_default();
             *count += 1;
-            if *count > PLACES || found == SHORTLIST {
+            if *count > places || found == most {
                 continue;
             }
             found += 1;
             let Some(known) = directions.iter().find(|d| d.node.instance == *instance) else { continue };
             let zero = instance.zero().unwrap_or_default();
             let is_opposite = zero.iter().zip(toward).zip(&known.node.at).any(|((z, t), at)| (t - z) * (at - z) < 0.0);
-            for size in if is_opposite { &NODES[..] } else { &NODES[1..] } {
-                let scaled = |(z, at): (&f64, &f64)| z + (at - z) * size / NODES[0] * if is_opposite { -1.0 } else { 1.0 };
-                let at: Vec<f64> = zero.iter().zip(&known.node.at).map(scaled).collect();
-                let at = at.iter().zip(instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                let distance = known.node.distance * size / NODES[0];
+            let mut strengths = if is_opposite { vec![-NODES[0], -NODES[1]] } else { vec![NODES[1]] };
+            if is_strong && !known.node.is_one_sided {
+                strengths = vec![-NODES[0], -NODES[1], NODES[1]];
+            }
+            for strength in strengths {
+                let ratio = strength / NODES[0];
+                let at = zero.iter().zip(&known.node.at).map(|(z, at)| z + (at - z) * ratio);
+                let at = at.zip(instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
+                let distance = known.node.distance * ratio.abs();
                 nodes.push(Node { instance: instance.clone(), at, distance, is_one_sided: true });
             }
         }

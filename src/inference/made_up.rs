@@ -54,15 +54,17 @@ pub struct Truth<'a> {
     pub coherence: fn(f64) -> f64,
     /// For all that is drawn.
     pub seed: u64,
+    /// Events, the last quarter of them for validation.
+    pub events: u32,
 }
 
 impl Default for Truth<'_> {
     fn default() -> Self {
-        Self { table: "", soil: [200.0, DAMPING], noise_m_s2: 0.01, coherence: |_| 1.0, seed: 5 }
+        Self { table: "", soil: [200.0, DAMPING], noise_m_s2: 0.01, coherence: |_| 1.0, seed: 5, events: 8 }
     }
 }
 
-/// Eight events of a uniform column.
+/// Events of a uniform column.
 pub fn problem(truth: &Truth<'_>) -> Problem {
     let tables: Vec<toml::Table> =
         if truth.table.is_empty() { Vec::new() } else { vec![toml::from_str(truth.table).unwrap()] };
@@ -70,10 +72,10 @@ pub fn problem(truth: &Truth<'_>) -> Problem {
     let array = array(200.0);
     let mut stream = random::stream(truth.seed, "made up");
     let mut events = Vec::new();
-    for e in 0..8 {
+    for e in 0..truth.events {
         let name = format!("E{e}");
         let mut motions: Vec<Channels> = vec![Vec::new(); 3];
-        let size = 0.5 + 0.2 * f64::from(e);
+        let size = 0.5 + 1.6 * f64::from(e) / f64::from(truth.events);
         for _ in 0..2 {
             let envelope = |i: usize| size * (-((i as f64 - 700.0) / 250.0).powi(2)).exp();
             let white: Vec<f64> = (0..STEPS).map(|i| envelope(i) * sample(&mut stream)).collect();
@@ -102,7 +104,7 @@ pub fn problem(truth: &Truth<'_>) -> Problem {
             events.push(Event {
                 name: name.clone(),
                 situation: Situation::of(c, &name, ["E0"]),
-                split: if e < 6 { Split::Train } else { Split::Validation },
+                split: if 4 * e < 3 * truth.events { Split::Train } else { Split::Validation },
                 dt_s: DT_S,
                 input: recorded[0][c].clone(),
                 outputs: recorded[1..].iter().map(|s| s[c].clone()).collect(),

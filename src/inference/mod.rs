@@ -1,10 +1,15 @@
-//! Which effect does the declared model lack? One parameter space, one likelihood, one competition: the successor of the search of
-//! [`crate::diagnosis`], beside it until its rates on twins are as good.
+//! Which effect does the declared model lack? One parameter space, one weighting of residuals, one competition: the successor of the
+//! search of [`crate::diagnosis`], beside it until its rates on twins are as good (`[diagnose] method = "competition"`).
 //!
-//! Declared values that may be off within their tolerances, effects of a catalogue, the coherence of the field and the error of the column
-//! itself are parameters with priors (`parameters`, `likelihood`). Replays of the column make values and slopes (`forward`); between
-//! replays everything is linear algebra on normal equations, event by event. A model is fitted by Fisher scoring within a trust region
-//! (`posterior`), models compete by their evidence (`competition`), and the answer says what is named and what remains (`answer`).
+//! Declared values that may be off within their tolerances and effects of a catalogue are parameters with priors (`parameters`). What is
+//! expected of residuals (noise, a field that is partly incoherent, a column that is not exact) is read off the records beside the best
+//! model so far and is one for all models (`weights`), so that a fit is nonlinear least squares (`posterior`) and models compete by their
+//! evidence (`competition`). Replays of the column make values and slopes (`forward`); what other programs make of the same column is no
+//! effect (`convention`). The answer says what is named and what remains (`answer`).
+//!
+//! ```text
+//! records ─► spread (coherence, level) ─► weights ─► fits of models ─► evidence ─► best model ─► spread …  until it stands still
+//! ```
 
 mod algebra;
 mod answer;
@@ -18,4 +23,4 @@ mod parameters;
 mod posterior;
 mod weights;
 
-pub use answer::{Compared, Named, Probable, Rest, RestVerdict, compete};
+pub use answer::diagnose;

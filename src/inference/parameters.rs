@@ -49,7 +49,8 @@ impl Tolerance {
         Ok(Self { instance: Instance { kind, target, free }, deviation })
     }
 
-    fn coordinate(&self, z: f64) -> f64 {
+    /// Coordinate of the effect's parameter `z` prior standard deviations from what is declared.
+    pub fn coordinate(&self, z: f64) -> f64 {
         let p = self.instance.free[0].parameter;
         p.coordinate(p.zero.unwrap_or(0.0)) + self.deviation * z
     }

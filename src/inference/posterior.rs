@@ -189,7 +189,7 @@ impl<'a> Fitter<'a> {
             let (to, expected) = step(&model, &x, &g, radius);
             // What is left to gain is not what a short step gains.
             let (_, whole) = step(&model, &x, &g, f64::INFINITY);
-            if whole < stop.gain || radius < RADIUS[2] {
+            if whole < stop.gain || expected <= 0.0 || radius < RADIUS[2] {
                 if is_fresh || !stop.is_exact {
                     break;
                 }
@@ -202,9 +202,6 @@ impl<'a> Fitter<'a> {
                 0.5 * square(rows) + constant + Self::prior(&model, &to)
             });
             let ratio = (cost - new) / expected;
-            if std::env::var("TRACE").is_ok() {
-                eprintln!("    fit {:?}: cost {cost:.1} expected {expected:.2} whole {whole:.2} found {:.2} radius {radius:.2} x {x:.2?}", model.effects.iter().map(|e| e.kind).collect::<Vec<_>>(), cost - new);
-            }
             if let Some(((there, _), _)) = &found {
                 Self::learn(&model, &mut slopes, [&x, &to], [&rows, there]);
             }
@@ -331,16 +328,22 @@ fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f
         let Some(s) = found else { return (x.to_vec(), 0.0) };
         to.copy_from_slice(x);
         free.iter().enumerate().for_each(|(i, at)| to[*at] += s[(i, 0)]);
-        let out = |i: &usize| to[*i] < bounds[*i][0] - 1e-12 || to[*i] > bounds[*i][1] + 1e-12;
-        let Some(beyond) = free.into_iter().find(out) else { break };
-        let end = to[beyond].clamp(bounds[beyond][0], bounds[beyond][1]);
-        if (x[beyond] - end).abs() < 1e-9 {
-            held[beyond] = true;
-        } else {
-            // Only as far as the bound.
-            let share = (end - x[beyond]) / (to[beyond] - x[beyond]);
-            (0..n).for_each(|i| to[i] = x[i] + share * (to[i] - x[i]));
-            break;
+        // Only as far as the first bound on the way; a coordinate that stands at its bound stays there.
+        let room = |i: &usize| {
+            let [low, high] = bounds[*i];
+            let moved = to[*i] - x[*i];
+            let end = if moved < 0.0 { low } else { high };
+            let share = if moved == 0.0 { f64::INFINITY } else { ((end - x[*i]) / moved).max(0.0) };
+            (*i, share)
+        };
+        let nearest = free.iter().map(room).min_by(|a, b| a.1.total_cmp(&b.1));
+        match nearest {
+            Some((i, share)) if share < 1e-6 => held[i] = true,
+            Some((_, share)) => {
+                (0..n).for_each(|i| to[i] = x[i] + share.min(1.0) * (to[i] - x[i]));
+                break;
+            }
+            None => break,
         }
     }
     let dx: Vec<f64> = to.iter().zip(x).map(|(a, b)| a - b).collect();

@@ -52,6 +52,20 @@ struct Band {
     noise: f64,
 }
 
+/// One bin of one sensor of one record, as moments are taken over it.
+struct Bin {
+    band: usize,
+    f_hz: f64,
+    /// One over the power of the record.
+    weight: f64,
+    recorded: C64,
+    predicted: C64,
+    base: C64,
+    /// Power of the sensor's noise, and of that of the input sensor as the column passes it on.
+    noise: f64,
+    passed_noise: f64,
+}
+
 /// Weights of one record.
 struct Record {
     sigma: Vec<Covariance>,
@@ -151,13 +165,12 @@ impl Spread {
     /// What the residuals of `prediction` show.
     ///
     /// ```text
-    /// γ² = |Σ Y Ŷ*|² / (Σ |Ŷ|² Σ (|Y|² − S)),   C² = (γ² − 1/n)/(1 − 1/n)                            (1)
+    /// γ² = |Σ Y Ŷ*|² / (Σ (|Ŷ|² − |H|² S_in) Σ (|Y|² − S_out)),   C² = (γ² − 1/n)/(1 − 1/n)             (1)
     /// δ  = Σ (Y − C Ŷ) (Ŷ − U)* / Σ |Ŷ − U|²                                                     (2)
     /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (3)
     /// ```
     ///
-    /// Sums of (1) and (2) are over the bins of a band and all records, each weighted by its power; n is their number, S the power of
-    /// noise, and v what noise and straying make of δ by chance. ν bands count for the declared error m.
+    /// Sums of (1) and (2) are over the bins of a band and all records, each weighted by its power; n is their number, and v what noise and straying make of δ by chance. ν bands count for the declared error m.
     pub fn estimated(forward: &Forward<'_>, prediction: &Prediction) -> Self {
         let n_sensor = forward.problem.array.outputs.len();
         let ends = band_hz(forward);
@@ -165,30 +178,40 @@ impl Spread {
         let n_band = ((ends[1] / ends[0]).log2() * AN_OCTAVE).ceil().max(1.0) as usize;
         let at_hz = |b: usize| ends[0] * (ends[1] / ends[0]).powf((b as f64 + 0.5) / n_band as f64);
         let band_of = |f: f64| (((f / ends[0]).log2() * AN_OCTAVE) as usize).min(n_band - 1);
+        let gain: Vec<Bins> = prediction.iter().map(|p| gains(p, RESOLUTION)).collect();
         let (mut coherence, mut repeatable) = (Vec::new(), Vec::new());
         let (mut sum, mut weight) = (PRIOR_BANDS, PRIOR_BANDS);
         for s in 0..n_sensor {
-            // |Y|² less noise, |Ŷ|², Y Ŷ*, and the number of bins, by band.
+            // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of bins, by band.
             let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
-            let each = |of: &mut dyn FnMut(usize, f64, f64, C64, C64, C64, f64)| {
-                for (at, p) in forward.records.iter().zip(prediction) {
-                    let noise = noise(forward, *at, p.channels[s + 1]);
+            let each = |of: &mut dyn FnMut(Bin)| {
+                for ((at, p), gain) in forward.records.iter().zip(prediction).zip(&gain) {
+                    let noises = [p.channels[0], p.channels[s + 1]].map(|c| noise(forward, *at, c));
                     let total: f64 = powers(&p.measured[s]).iter().sum::<f64>().max(f64::MIN_POSITIVE);
-                    for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
-                        of(band_of(*f), *f, 1.0 / total, p.measured[s][k], p.outputs[s][k], p.base[k], noise[k]);
+                    for (k, f_hz) in forward.frequencies_hz(*at).iter().enumerate() {
+                        of(Bin {
+                            band: band_of(*f_hz),
+                            f_hz: *f_hz,
+                            weight: 1.0 / total,
+                            recorded: p.measured[s][k],
+                            predicted: p.outputs[s][k],
+                            base: p.base[k],
+                            noise: noises[1][k],
+                            passed_noise: gain[s][k].norm_sqr() * noises[0][k],
+                        });
                     }
                 }
             };
-            each(&mut |b, _, w, y, predicted, _, noise| {
-                let m = &mut moments[b];
-                m.0 += w * (y.norm_sqr() - noise);
-                m.1 += w * predicted.norm_sqr();
-                m.2 += y * predicted.conj() * w;
+            each(&mut |bin| {
+                let m = &mut moments[bin.band];
+                m.0 += bin.weight * (bin.recorded.norm_sqr() - bin.noise);
+                m.1 += bin.weight * (bin.predicted.norm_sqr() - bin.passed_noise);
+                m.2 += bin.recorded * bin.predicted.conj() * bin.weight;
                 m.3 += 1.0;
             });
             let mut knots = vec![[1e-9, 1e-9]; KNOTS];
             for (b, (recorded, predicted, cross, n)) in moments.iter().enumerate().filter(|(_, m)| m.3 >= 2.0) {
-                let gamma = cross.norm_sqr() / (predicted * recorded.max(FLOOR)).max(f64::MIN_POSITIVE);
+                let gamma = cross.norm_sqr() / (predicted.max(FLOOR) * recorded.max(FLOOR));
                 let square = ((gamma - 1.0 / n) / (1.0 - 1.0 / n)).clamp(0.0, 1.0);
                 let (i, w) = hat(at_hz(b), ends);
                 for (j, w) in [(i, 1.0 - w), (i + 1, w)] {
@@ -203,12 +226,13 @@ impl Spread {
             };
             // Σ r a*, Σ |a|², Σ v |a|², by band.
             let mut shared = vec![(C64::default(), 0.0, 0.0); n_band];
-            each(&mut |b, f, w, y, predicted, base, noise| {
-                let (added, c) = (predicted - base, c(f));
-                let m = &mut shared[b];
-                m.0 += (y - c * predicted) * added.conj() * w;
+            each(&mut |bin| {
+                let (added, c, w) = (bin.predicted - bin.base, c(bin.f_hz), bin.weight);
+                let m = &mut shared[bin.band];
+                m.0 += (bin.recorded - c * bin.predicted) * added.conj() * w;
                 m.1 += w * added.norm_sqr();
-                m.2 += w * w * added.norm_sqr() * (noise + (1.0 - c * c) * y.norm_sqr());
+                let strays = (1.0 - c * c) * bin.recorded.norm_sqr();
+                m.2 += w * w * added.norm_sqr() * (bin.noise + bin.passed_noise + strays);
             });
             let mut places = Vec::new();
             for (b, (cross, square, strays)) in shared.into_iter().enumerate().filter(|(_, m)| m.1 > 0.0) {
@@ -350,5 +374,48 @@ impl Record {
             }
         }
         rows
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{Truth, Uniform, problem};
+    use super::*;
+    use crate::diagnosis::DiagnoseSettings;
+
+    #[test]
+    fn levels_and_coherence_are_read_off_records() {
+        let problem = problem(&Truth::default());
+        let replay = Uniform(&problem);
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let right = forward.predict(&[]).unwrap();
+        let of_right = Spread::estimated(&forward, &right);
+        assert!(of_right.level < 1.1 && of_right.coherence.iter().flatten().all(|c| *c > 0.99), "{of_right:?}");
+        // A column that adds 15 % too much: in its own measure the records lack 0.13 of what it adds.
+        let mut wrong = right.clone();
+        for p in &mut wrong {
+            for (y, u) in p.outputs.iter_mut().flat_map(|y| y.iter_mut().zip(&p.base)) {
+                *y += 0.15 * (*y - u);
+            }
+        }
+        let of_wrong = Spread::estimated(&forward, &wrong);
+        let expected = 0.15 / 1.15 / problem.tolerances.model;
+        assert!((of_wrong.level / expected - 1.0).abs() < 0.3, "{} {expected}", of_wrong.level);
+        let [repeatable, strays, recorded] = residual_powers(&forward, &wrong, &of_wrong);
+        assert!(repeatable > 3.0 * strays && repeatable < 0.2 * recorded, "{repeatable} {strays} {recorded}");
+    }
+
+    #[test]
+    fn residuals_are_of_the_size_that_weights_expect() {
+        let problem = problem(&Truth::default());
+        let replay = Uniform(&problem);
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let right = forward.predict(&[]).unwrap();
+        // Without an error of the column only noise is left, and rows are standard normal numbers.
+        let spread = Spread { level: 1e-6, ..Spread::estimated(&forward, &right) };
+        let weights = Weights::new(&forward, &spread, &right);
+        let rows: Vec<f64> = weights.rows(&right).into_iter().flatten().filter(|r| *r != 0.0).collect();
+        let level = rows.iter().map(|r| r * r).sum::<f64>() / rows.len() as f64;
+        assert!((level - 1.0).abs() < 0.25, "{level}");
     }
 }

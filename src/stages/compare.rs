@@ -45,6 +45,9 @@ pub struct Loop {
     pub summary: Summary,
     /// Where the verdict is unknown: corrections that are no physics.
     pub generic: Option<Generic>,
+    /// What remains beside what is named, where the diagnosis says it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rest: Option<diagnosis::Rest>,
     /// Remarks for people.
     pub notes: Vec<String>,
 }
@@ -146,8 +149,8 @@ impl Stage for Compare {
 }
 
 /// Pairs of frequency (Hz) and coherence by sensor, where the diagnosis knows them; the coherent band is the whole one elsewhere.
-fn coherence(_diagnosis: &Diagnosis) -> BTreeMap<String, Vec<[f64; 2]>> {
-    BTreeMap::new()
+fn coherence(diagnosis: &Diagnosis) -> BTreeMap<String, Vec<[f64; 2]>> {
+    diagnosis.rest.as_ref().map_or_else(BTreeMap::new, |rest| rest.coherence.clone())
 }
 
 impl Loop {
@@ -175,6 +178,7 @@ impl Loop {
             errors,
             summary,
             generic: None,
+            rest: diagnosis.rest.clone(),
             notes,
         }
     }

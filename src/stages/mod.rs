@@ -4,7 +4,6 @@ mod artifact;
 mod calibrate;
 mod ceiling;
 mod compare;
-mod compete;
 pub mod correct;
 mod dataset;
 mod diagnose;
@@ -52,7 +51,6 @@ pub const STAGES: &[&dyn Stage] = &[
     &correct::Correct,
     &extend::Extend,
     &compare::Compare,
-    &compete::Compete,
     &twins::TwinThresholds,
     &twins::Twins,
     &other_source::OtherSource,

@@ -143,9 +143,13 @@ fn refined(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSecti
     sections
 }
 
-/// `sections` with the elements of [`Replay::replay_roughly`] and the steps of the manifest.
+/// `sections` with the elements of [`Replay::replay_roughly`] and even steps of the manifest's length: where steps are shortened goes by
+/// thresholds, so that motions would jump by a little as parameters change, and slopes with them.
 fn roughened(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
-    meshed(sections, ROUGHLY_PER_WAVE, settings.band_hz[1])
+    let mut sections = meshed(sections, ROUGHLY_PER_WAVE, settings.band_hz[1]);
+    let analysis = &mut sections.analysis;
+    (analysis.initial_step_s, analysis.max_jump) = (analysis.max_step_s, f64::INFINITY);
+    sections
 }
 
 /// `sections` in `per_wave` elements to the shortest wave below `high_hz`, or as they are where they have fewer: what is found is to

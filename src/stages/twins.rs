@@ -6,7 +6,8 @@ use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
 use super::problem::{Bench, READS};
 use super::{null_twins, records};
-use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, diagnose, recalibrated, thresholds};
+use super::diagnose::diagnosed;
+use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, recalibrated, thresholds};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
 use crate::metrics::median;
@@ -25,7 +26,7 @@ pub struct TwinThresholds;
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 29);
+const TWIN: (&str, u32) = ("twin", 30);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -124,13 +125,6 @@ pub fn read(folder: &Path) -> Result<Report> {
 }
 
 /// What every twin shares.
-struct Stderr(String);
-impl crate::progress::Progress for Stderr {
-    fn start(&self, _: &str, _: u64) {}
-    fn advance(&self, _: u64) {}
-    fn note(&self, text: &str) { eprintln!("  [{}] {text}", self.0); }
-}
-
 struct Stand {
     sections: ColumnSections,
     tolerances: Tolerances,
@@ -184,15 +178,7 @@ impl Stand {
         let start = std::time::Instant::now();
         let seen = self.record(&case.truth, &[Split::Train, Split::Validation])?;
         let bench = self.bench(seen)?;
-        let diagnosis = if std::env::var("OLD_ENGINE").is_ok() {
-            diagnose(&bench.problem, &bench, &self.settings, thresholds, &Quiet)?
-        } else {
-            let compared = crate::inference::compete(&bench.problem, &bench, &self.settings, &Stderr(format!("{} {}", case.cell, case.number)))?;
-            if let Ok(dir) = std::env::var("DUMP") {
-                let _ = std::fs::write(format!("{dir}/{}-{}.json", case.cell.replace(' ', "_"), case.number), serde_json::to_string_pretty(&compared).unwrap_or_default());
-            }
-            compared.diagnosis()
-        };
+        let diagnosis = diagnosed(&bench.problem, &bench, &self.settings, thresholds, &Quiet)?;
         let held_out: Vec<Vec<Record>> =
             self.record(&case.truth, &[Split::Test])?.into_iter().map(|(_, records)| records).collect();
         let error = |tables: &[Table]| self.error(&bench, tables, &held_out);
