@@ -85,8 +85,8 @@ pub use independence::{Independence, independence};
 pub use noise::{denoised, noise, noisier};
 pub use null_twins::{drawn, thresholds};
 pub use outcome::{
-    Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Rest, RestVerdict, Thresholds, ToleranceAlarm,
-    UpperBound, Verdict,
+    Candidate, Diagnosis, Estimate, EventRemainder, Excess, Found, Remainder, Rest, RestVerdict, Thresholds,
+    ToleranceAlarm, UpperBound, Verdict,
 };
 pub use power::{Confusion, Power, Sensitivity, power};
 pub use problem::{Event, Motions, NoiseSpectrum, Problem, Replay};

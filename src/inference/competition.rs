@@ -334,12 +334,8 @@ impl<'a> Competition<'a> {
 
     /// All candidates beside `base`: singles, and pairs of the best.
     fn proposals(&self, base: &Fit<'a>) -> Vec<Proposal> {
-        let lacking: Vec<Instance> = self
-            .instances
-            .iter()
-            .filter(|i| !base.model.effects.iter().any(|e| is_one(e, i)))
-            .cloned()
-            .collect();
+        let lacking: Vec<Instance> =
+            self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| is_one(e, i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && !Forward::is_interference(i);
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
         let mut proposals: Vec<Proposal> =

@@ -56,19 +56,19 @@ mod tests {
         // xᴴ Σ⁻¹ x and ln det Σ by elimination on the dense matrix.
         let mut rows: Vec<Vec<C64>> = (0..3)
             .map(|i| {
-                let of = |j: usize| gain[i] * gain[j].conj() * 0.7 + if i == j { C64::from(sigma.d[i]) } else { C64::default() };
+                let of = |j: usize| {
+                    gain[i] * gain[j].conj() * 0.7 + if i == j { C64::from(sigma.d[i]) } else { C64::default() }
+                };
                 (0..3).map(of).chain([x[i]]).collect()
             })
             .collect();
         let mut ln_determinant = 0.0;
         for i in 0..3 {
             ln_determinant += rows[i][i].re.ln();
-            for j in i + 1..3 {
-                let factor = rows[j][i] / rows[i][i];
-                for k in i..4 {
-                    let taken = factor * rows[i][k];
-                    rows[j][k] -= taken;
-                }
+            let pivot = rows[i].clone();
+            for row in rows.iter_mut().skip(i + 1) {
+                let factor = row[i] / pivot[i];
+                row.iter_mut().zip(&pivot).for_each(|(r, p)| *r -= factor * p);
             }
         }
         let mut solved = [C64::default(); 3];

@@ -203,8 +203,8 @@ impl<'a> Forward<'a> {
         let arriving: Vec<&dyn Effect> =
             built.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect();
         let n_sensor = self.names.len() - 1;
-        let mut outputs: Vec<Bins> = vec![Vec::with_capacity(n_sensor); n_record];
-        for s in 0..n_sensor {
+        // What each output sensor records, by record.
+        let recorded_by = |s: usize| -> Vec<Vec<C64>> {
             let operators = self.operators(g, built, s + 1);
             let own: Vec<Vec<C64>> = (0..n_record)
                 .map(|r| {
@@ -217,9 +217,11 @@ impl<'a> Forward<'a> {
                 })
                 .collect();
             let own: Vec<&[C64]> = own.iter().map(Vec::as_slice).collect();
-            for (r, outputs) in outputs.iter_mut().enumerate() {
-                outputs.push(through(&operators, r, &own));
-            }
+            (0..n_record).map(|r| through(&operators, r, &own)).collect()
+        };
+        let mut outputs: Vec<Bins> = vec![Vec::with_capacity(n_sensor); n_record];
+        for by_record in (0..n_sensor).map(recorded_by) {
+            outputs.iter_mut().zip(by_record).for_each(|(outputs, own)| outputs.push(own));
         }
         let rows = outputs.into_iter().zip(bases).zip(measured);
         rows.map(|((outputs, base), channels)| Predicted {

@@ -209,7 +209,7 @@ impl Spread {
                 m.2 += bin.recorded * bin.predicted.conj() * bin.weight;
                 m.3 += 1.0;
             });
-            let mut knots = vec![[1e-9, 1e-9]; KNOTS];
+            let mut knots = [[1e-9, 1e-9]; KNOTS];
             for (b, (recorded, predicted, cross, n)) in moments.iter().enumerate().filter(|(_, m)| m.3 >= 2.0) {
                 let gamma = cross.norm_sqr() / (predicted.max(FLOOR) * recorded.max(FLOOR));
                 let square = ((gamma - 1.0 / n) / (1.0 - 1.0 / n)).clamp(0.0, 1.0);

@@ -5,7 +5,7 @@ use super::instrument::{Instrument, by_event};
 use super::records;
 use super::replay::{base_motions, replayed};
 use super::shake::{Response, shake};
-use crate::diagnosis::{self, DiagnoseSettings, Event, Motions, NoiseSpectrum, Problem, Replay};
+use crate::diagnosis::{self, DiagnoseSettings, Event, Method, Motions, NoiseSpectrum, Problem, Replay};
 use crate::effects::Situation;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, LayerSection, Tolerances};
@@ -82,7 +82,8 @@ impl<'a> Bench<'a> {
     ) -> Result<Self> {
         let rough = roughened(sections.clone(), diagnose);
         let sections = refined(sections, diagnose);
-        let noise: Vec<_> = events.iter().map(|(_, r)| r.iter().map(|r| diagnosis::noise(r, settings.noise)).collect()).collect();
+        let noise: Vec<_> =
+            events.iter().map(|(_, r)| r.iter().map(|r| diagnosis::noise(r, settings.noise)).collect()).collect();
         let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
         let problem = problem(&sections, tolerances, &settings, &events, &noise)?;
         let quiet = |(mut record, noise): (Record, &Vec<NoiseSpectrum>)| {
@@ -143,12 +144,14 @@ fn refined(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSecti
     sections
 }
 
-/// `sections` with the elements of [`Replay::replay_roughly`] and even steps of the manifest's length: where steps are shortened goes by
-/// thresholds, so that motions would jump by a little as parameters change, and slopes with them.
+/// `sections` with the elements of [`Replay::replay_roughly`] and the steps of the manifest; where fits follow slopes closely, all of one
+/// length: where steps are shortened goes by thresholds, so that motions would jump by a little as parameters change.
 fn roughened(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
     let mut sections = meshed(sections, ROUGHLY_PER_WAVE, settings.band_hz[1]);
-    let analysis = &mut sections.analysis;
-    (analysis.initial_step_s, analysis.max_jump) = (analysis.max_step_s, f64::INFINITY);
+    if settings.method == Method::Competition {
+        let analysis = &mut sections.analysis;
+        (analysis.initial_step_s, analysis.max_jump) = (analysis.max_step_s, f64::INFINITY);
+    }
     sections
 }
 

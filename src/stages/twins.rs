@@ -2,11 +2,11 @@
 
 use super::artifact::{read_toml, write_json, write_toml};
 use super::correct::correction;
+use super::diagnose::diagnosed;
 use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
 use super::problem::{Bench, READS};
 use super::{null_twins, records};
-use super::diagnose::diagnosed;
 use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, recalibrated, thresholds};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
