@@ -43,7 +43,6 @@ const STRONG: f64 = 1.1;
 const CHANGED: [f64; 2] = [0.1, 0.05];
 
 /// A candidate at one strength.
-#[derive(Clone)]
 struct Node {
     instance: Instance,
     /// Coordinates of its parameters there.
@@ -106,9 +105,8 @@ impl<'a> Competition<'a> {
     /// ln of the prior of an effect; one that is estimated record by record has two numbers more in each.
     fn prior_of(&self, instance: &Instance) -> f64 {
         let records = &self.fitter.forward.records;
-        let bins = |n: usize| (n as f64).ln();
         let hidden = if Forward::is_interference(instance) {
-            records.iter().map(|at| bins(self.fitter.forward.frequencies_hz(*at).len())).sum()
+            records.iter().map(|at| (self.fitter.forward.frequencies_hz(*at).len() as f64).ln()).sum()
         } else {
             0.0
         };
@@ -295,7 +293,8 @@ impl<'a> Competition<'a> {
         format!("{}: ln odds {gained:+.1} against nothing missing; {replays} replays", named.join("+ "))
     }
 
-    /// Where to start a fit of `set` beside the point `base`: where the linear problem puts it, or on the way there, as far as the column agrees.
+    /// Where to start a fit of `set` beside the point `base`: where the linear problem puts it, or on the way there, as far as the
+    /// column agrees.
     fn started(&self, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
         let at = |share: f64| {
             let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, to)| x + share * (to - x)).collect();
@@ -531,6 +530,6 @@ fn is_one(a: &Instance, b: &Instance) -> bool {
 }
 
 /// Whether two sets hold the same effects in any order.
-pub fn is_same_set(one: &[Instance], other: &[Instance]) -> bool {
+fn is_same_set(one: &[Instance], other: &[Instance]) -> bool {
     one.len() == other.len() && one.iter().all(|a| other.iter().any(|b| is_one(a, b)))
 }

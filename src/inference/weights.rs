@@ -25,6 +25,8 @@ const USUAL_NOISE: f64 = 0.01;
 const PRIOR_BANDS: f64 = 10.0;
 /// Smallest coherence that is still told from none.
 const LEAST_COHERENCE: f64 = 0.05;
+/// Least error of a column.
+const LEAST_ERROR: f64 = 1e-4;
 /// Smallest power, as a share of the largest of a record.
 const FLOOR: f64 = 1e-12;
 
@@ -127,6 +129,17 @@ fn hat(frequency_hz: f64, [low, high]: [f64; 2]) -> (usize, f64) {
     (i, x - i as f64)
 }
 
+/// Value at a frequency of what is given at the knots, linear over ln f.
+fn interpolated(knots: &[f64], frequency_hz: f64, ends_hz: [f64; 2]) -> f64 {
+    let (i, w) = hat(frequency_hz, ends_hz);
+    knots[i] * (1.0 - w) + knots[i + 1] * w
+}
+
+/// Declared error of the column, a share of what it adds to its base.
+fn model_error(forward: &Forward<'_>) -> f64 {
+    forward.problem.tolerances.model.max(LEAST_ERROR)
+}
+
 /// The band that all records share, Hz.
 pub fn band_hz(forward: &Forward<'_>) -> [f64; 2] {
     forward.groups.iter().fold([f64::INFINITY, 0.0f64], |[low, high], g| {
@@ -170,23 +183,25 @@ impl Spread {
     /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (3)
     /// ```
     ///
-    /// Sums of (1) and (2) are over the bins of a band and all records, each weighted by its power; n is their number, and v what noise and straying make of δ by chance. ν bands count for the declared error m.
+    /// Sums of (1) and (2) are over the bins of a band and all records, each weighted by its power; n is their number, and v what noise
+    /// and straying make of δ by chance. ν bands count for the declared error m.
     pub fn estimated(forward: &Forward<'_>, prediction: &Prediction) -> Self {
         let n_sensor = forward.problem.array.outputs.len();
         let ends = band_hz(forward);
-        let model = forward.problem.tolerances.model.max(1e-4);
+        let model = model_error(forward);
         let n_band = ((ends[1] / ends[0]).log2() * AN_OCTAVE).ceil().max(1.0) as usize;
         let at_hz = |b: usize| ends[0] * (ends[1] / ends[0]).powf((b as f64 + 0.5) / n_band as f64);
         let band_of = |f: f64| (((f / ends[0]).log2() * AN_OCTAVE) as usize).min(n_band - 1);
         let gain: Vec<Bins> = prediction.iter().map(|p| gains(p, RESOLUTION)).collect();
+        let by_sensor = |(at, p): (&At, &Predicted)| p.channels.iter().map(|c| noise(forward, *at, *c)).collect();
+        let noises: Vec<Vec<Vec<f64>>> = forward.records.iter().zip(prediction).map(by_sensor).collect();
         let (mut coherence, mut repeatable) = (Vec::new(), Vec::new());
         let (mut sum, mut weight) = (PRIOR_BANDS, PRIOR_BANDS);
         for s in 0..n_sensor {
             // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of bins, by band.
             let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
             let each = |of: &mut dyn FnMut(Bin)| {
-                for ((at, p), gain) in forward.records.iter().zip(prediction).zip(&gain) {
-                    let noises = [p.channels[0], p.channels[s + 1]].map(|c| noise(forward, *at, c));
+                for (((at, p), gain), noises) in forward.records.iter().zip(prediction).zip(&gain).zip(&noises) {
                     let total: f64 = powers(&p.measured[s]).iter().sum::<f64>().max(f64::MIN_POSITIVE);
                     for (k, f_hz) in forward.frequencies_hz(*at).iter().enumerate() {
                         of(Bin {
@@ -196,7 +211,7 @@ impl Spread {
                             recorded: p.measured[s][k],
                             predicted: p.outputs[s][k],
                             base: p.base[k],
-                            noise: noises[1][k],
+                            noise: noises[s + 1][k],
                             passed_noise: gain[s][k].norm_sqr() * noises[0][k],
                         });
                     }
@@ -220,14 +235,10 @@ impl Spread {
                 }
             }
             let own: Vec<f64> = knots.iter().map(|[a, b]| (a / b).sqrt().max(LEAST_COHERENCE)).collect();
-            let c = |f: f64| {
-                let (i, w) = hat(f, ends);
-                own[i] * (1.0 - w) + own[i + 1] * w
-            };
             // Σ r a*, Σ |a|², Σ v |a|², by band.
             let mut shared = vec![(C64::default(), 0.0, 0.0); n_band];
             each(&mut |bin| {
-                let (added, c, w) = (bin.predicted - bin.base, c(bin.f_hz), bin.weight);
+                let (added, c, w) = (bin.predicted - bin.base, interpolated(&own, bin.f_hz, ends), bin.weight);
                 let m = &mut shared[bin.band];
                 m.0 += (bin.recorded - c * bin.predicted) * added.conj() * w;
                 m.1 += w * added.norm_sqr();
@@ -271,8 +282,7 @@ pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &
                 spread.repeatable[s].get(place).map_or(C64::default(), |[_, re, im]| C64::new(*re, *im))
             };
             for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
-                let (i, w) = hat(*f, ends);
-                let c = spread.coherence[s][i] * (1.0 - w) + spread.coherence[s][i + 1] * w;
+                let c = interpolated(&spread.coherence[s], *f, ends);
                 let same = repeatable(*f) * (p.outputs[s][k] - p.base[k]);
                 let expected = noise[k] + gain[s][k].norm_sqr() * input[k];
                 sums[0] += same.norm_sqr() / total;
@@ -299,7 +309,7 @@ impl Weights {
         let f = forward.frequencies_hz(at);
         let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
         let (n_sensor, n_record) = (predicted.outputs.len(), forward.records.len() as f64);
-        let level = spread.level * forward.problem.tolerances.model.max(1e-4);
+        let level = spread.level * model_error(forward);
         let gain = gains(predicted, half);
         let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
         let channels = &forward.groups[at.group].records[at.record].channels;
@@ -310,17 +320,8 @@ impl Weights {
             running_mean(&power, half)
         };
         let added: Vec<Vec<f64>> = predicted.measured.iter().map(beside_base).collect();
-        let coherence: Vec<Vec<f64>> = spread
-            .coherence
-            .iter()
-            .map(|knots| {
-                let at = |f: &f64| {
-                    let (i, w) = hat(*f, ends);
-                    knots[i] * (1.0 - w) + knots[i + 1] * w
-                };
-                f.iter().map(at).collect()
-            })
-            .collect();
+        let at_bins = |knots: &Vec<f64>| f.iter().map(|f| interpolated(knots, *f, ends)).collect();
+        let coherence: Vec<Vec<f64>> = spread.coherence.iter().map(at_bins).collect();
         let strays = |s: usize, k: usize| (1.0 - coherence[s][k].powi(2)).max(0.0) * recorded[s][k];
         let step_hz = f[1] - f[0];
         let sigma = |k: usize| {

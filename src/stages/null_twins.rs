@@ -30,12 +30,12 @@ impl Stage for NullTwins {
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
-        let bench = Bench::of(task)?;
         let settings: DiagnoseSettings = task.section("diagnose")?;
         // Evidence has its own charge for what is tried.
         if settings.method == Method::Competition {
             return write(task.output_dir(), &Thresholds::default());
         }
+        let bench = Bench::of(task)?;
         write(task.output_dir(), &thresholds(&bench.problem, Some(&bench), &settings, task.progress())?)
     }
 }
