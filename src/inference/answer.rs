@@ -27,7 +27,7 @@ const NORMAL: f64 = 1.96;
 const RECALIBRATIONS: usize = 4;
 const STILL: f64 = 0.1;
 /// When a fit of these rounds ends.
-const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: true };
+const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false };
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
 const UNNAMED: f64 = 2.0;
 /// Prior standard deviations beyond which a declared value is out of its tolerance.
@@ -50,13 +50,13 @@ pub fn diagnose(
     // What few elements leave wrong is taken out where it matters.
     let tables = start.0.tables(&start.1);
     forward.anchor(&tables)?;
-    let declared = plain.clone().with_conventions(conventions(&forward, settings, &tables)?);
+    let declared = plain.clone().with_conventions(conventions(&forward, &tables)?);
     let model = Model { declared: &declared, effects: Vec::new() };
     let mut x = start.1;
     x.resize(model.len(), 0.0);
     let prediction = std::sync::Arc::new(forward.predict(&tables)?);
     let fitter = Fitter::new(&forward, spread, prediction);
-    let fit = fitter.fit(Start { model, x, slopes: Vec::new() }, Stop::EXACT)?;
+    let fit = fitter.fit(Start::at(model, x), Stop::EXACT)?;
     let mut competition = Competition::new(fitter, fit, settings.max_effects);
     competition.run(progress)?;
     progress.note(&format!("{} replays", forward.replays()));
@@ -72,7 +72,7 @@ fn recalibrated<'a>(forward: &Forward<'a>, declared: &'a Declared) -> Result<(Sp
     let mut spread = Spread::estimated(forward, &prediction);
     for _ in 0..RECALIBRATIONS {
         let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
-        let fit = fitter.fit(Start { model: model.clone(), x, slopes: Vec::new() }, ROUGHLY)?;
+        let fit = fitter.fit(Start::at(model.clone(), x), ROUGHLY)?;
         (x, prediction) = (fit.x, fit.prediction);
         let found = Spread::estimated(forward, &prediction);
         let is_still = (found.level / spread.level).ln().abs() < STILL;
@@ -367,13 +367,13 @@ mod tests {
     #[test]
     fn what_is_known_is_named_beside_a_field_that_strays() {
         let coherence = |f: f64| if f < 1.0 { 0.97 } else { (0.97 - 0.25 * f.ln()).max(0.4) };
-        let found = diagnosed(&Truth { soil: [200.0, 0.08], coherence, ..FEW });
+        let found = diagnosed(&Truth { soil: [200.0, 0.1], coherence, ..FEW });
         assert_eq!(found.verdict, Verdict::Known, "{:?}", found.candidates);
         assert_eq!(found.effects[0].kind, "small_strain_damping");
         let beside = found.corrected_nuisances.iter().find(|t| t["kind"].as_str() == Some("small_strain_damping"));
         let beside = beside.and_then(|t| t["multiplier"].as_float()).unwrap_or(1.0);
         let damping_ratio = DAMPING * beside * found.effects[0].parameters["multiplier"].value;
-        assert!((damping_ratio / 0.08 - 1.0).abs() < 0.1, "{damping_ratio}");
+        assert!((damping_ratio / 0.1 - 1.0).abs() < 0.1, "{damping_ratio}");
         let rest = found.rest.unwrap();
         assert_eq!(rest.verdict, RestVerdict::Incoherent);
         assert!(rest.coherence["top"].iter().all(|[f, c]| (c - coherence(*f)).abs() < 0.1), "{:?}", rest.coherence);

@@ -10,7 +10,7 @@ use super::algebra;
 use super::forward::Forward;
 use super::parameters::{Model, prior_of};
 use super::posterior::{Fit, Fitter, Start, Stop, combined, normal};
-use super::weights::{Rows, Spread};
+use super::weights::{Rows, Spread, Weights};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
@@ -23,8 +23,10 @@ const HEATS: usize = 4;
 const FINALS: usize = 3;
 /// Steps of the first fits.
 const HEAT: Stop = Stop { steps: 5, gain: 0.3, is_exact: false };
-/// ln of the odds against the best within which models are fitted again when what is expected of residuals has changed.
+/// ln of the odds against the best within which models are fitted to the end, and within which they are fitted again when what is expected
+/// of residuals has changed.
 const CLOSE: f64 = 10.0;
+const FAR: f64 = 100.0;
 /// Candidates that are replayed at further strengths, pairs of which are looked at, and places of one form among them.
 const SHORTLIST: usize = 12;
 const PLACES: usize = 3;
@@ -140,13 +142,42 @@ impl<'a> Competition<'a> {
             let Some(next) = open.into_iter().find(is_open) else { break };
             self.expand(next, progress)?;
         }
-        Ok(())
+        self.settle(progress)
     }
 
-    /// Reads off beside the best model what is expected of residuals, and fits again whatever is close, if that has changed.
+    /// Fits to the end, by slopes that replays tell, whatever is close to the best.
+    fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
+        let mut settled: Vec<Vec<Instance>> = Vec::new();
+        loop {
+            let highest = self.log_posterior(self.best());
+            let is_open = |(i, f): &(usize, &Fit<'a>)| {
+                let is_meant = *i == 0 || self.log_posterior(f) > highest - CLOSE;
+                is_meant && !settled.iter().any(|s| is_same_set(s, &f.model.effects))
+            };
+            let Some((index, fit)) = self.fits.iter().enumerate().find(is_open) else { return Ok(()) };
+            settled.push(fit.model.effects.clone());
+            let found = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
+            progress.note(&self.described(&found));
+            if found.cost() <= self.fits[index].cost() {
+                self.fits[index] = found;
+            }
+        }
+    }
+
+    /// What is expected of residuals beside a fitted model, and ln of the determinant of that.
+    fn supported(&self, fit: &Fit<'a>) -> (Spread, f64) {
+        let forward = self.fitter.forward;
+        let spread = Spread::estimated(forward, &fit.prediction);
+        let ln_determinant = Weights::new(forward, &spread, &fit.prediction).constant;
+        (spread, ln_determinant)
+    }
+
+    /// Reads off what is expected of residuals, and fits again whatever is close, if that has changed. What the column has wrong and what
+    /// strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
     fn renew_spread(&mut self, progress: &dyn Progress) -> Result<()> {
-        let best = self.best().clone();
-        let found = Spread::estimated(self.fitter.forward, &best.prediction);
+        let supported = self.fits.iter().map(|f| (f, self.supported(f)));
+        let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));
+        let Some((best, (found, _))) = least.map(|(f, s)| (f.clone(), s)) else { return Ok(()) };
         let now = self.fitter.spread();
         let coherences = found.coherence.iter().flatten().zip(now.coherence.iter().flatten());
         let moved = coherences.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -157,13 +188,16 @@ impl<'a> Competition<'a> {
         // What few elements leave wrong is taken out where it matters now.
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
         self.fitter = Fitter::new(self.fitter.forward, found, best.prediction.clone());
-        let highest = self.log_posterior(&best);
+        let own = best.model.effects.clone();
+        let corrections = self.fitter.fit(Start::at(best.model, best.x), Stop::EXACT)?.corrections;
         let old = std::mem::take(&mut self.fits);
-        for (i, fit) in old.into_iter().enumerate() {
-            if i == 0 || self.log_posterior(&fit) > highest - CLOSE {
-                let again = Start { model: fit.model, x: fit.x, slopes: Vec::new() };
-                let found = self.fitter.fit(again, Stop::EXACT)?;
-                self.fits.push(found);
+        let cost = |fit: &Fit<'a>| self.fitter.nll(&fit.prediction) + Fitter::prior(&fit.model, &fit.x);
+        let costs: Vec<f64> = old.iter().map(cost).collect();
+        let lowest = costs.iter().copied().fold(f64::INFINITY, f64::min);
+        for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
+            if i == 0 || cost < lowest + FAR || is_same_set(&fit.model.effects, &own) {
+                let start = Start { corrections: corrections.clone(), ..Start::at(fit.model, fit.x) };
+                self.fits.push(self.fitter.fit(start, Stop::CLOSE)?);
             }
         }
         // What was found beside other models may be found anew.
@@ -197,17 +231,23 @@ impl<'a> Competition<'a> {
                 all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
                 let model = Model { declared: base.model.declared, effects: all };
                 let x = self.started(point, &model, &set);
-                let slopes = point.slopes.iter().cloned().map(Some).collect();
-                heats.extend(self.fitter.fit(Start { model, x, slopes }, HEAT));
+                heats.extend(self.fitter.fit(Start::near(point, model, x), HEAT));
             }
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
         let mut finals: Vec<Fit<'a>> = Vec::new();
-        for heat in heats {
+        for heat in &heats {
             if finals.len() < FINALS && !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects)) {
-                finals.push(heat);
+                finals.push(heat.clone());
             }
         }
+        // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
+        let least = heats.into_iter().map(|h| (self.supported(&h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
+        finals.extend(
+            least
+                .map(|(_, heat)| heat)
+                .filter(|h| !finals.iter().any(|f| is_same_set(&f.model.effects, &h.model.effects))),
+        );
         for heat in finals {
             self.finish(heat, progress);
         }
@@ -217,9 +257,7 @@ impl<'a> Competition<'a> {
 
     /// Goes on with the fit `heat` and keeps it.
     fn finish(&mut self, heat: Fit<'a>, progress: &dyn Progress) {
-        let Fit { model, x, slopes, .. } = heat;
-        let slopes = slopes.into_iter().map(Some).collect();
-        let Ok(found) = self.fitter.fit(Start { model, x, slopes }, Stop::EXACT) else { return };
+        let Ok(found) = self.fitter.fit(Start::from(heat), Stop::CLOSE) else { return };
         progress.note(&self.described(&found));
         self.keep(found);
     }
@@ -234,6 +272,7 @@ impl<'a> Competition<'a> {
                 return;
             }
             tried.push(best.model.effects.clone());
+            let near = best.model.tables(&best.x);
             for index in 0..best.model.effects.len() {
                 let own = &best.model.effects[index];
                 let others = self.instances.iter().filter(|i| i.is_alike(own) && !is_one(i, own));
@@ -243,12 +282,11 @@ impl<'a> Competition<'a> {
                     let is_open = self.known(&model.effects).is_none();
                     let bounds = model.bounds();
                     let x: Vec<f64> = best.x.iter().zip(bounds).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                    let prediction = is_open.then(|| self.fitter.predict(&model, &x).ok()).flatten()?;
+                    let prediction = is_open.then(|| self.fitter.predict_near(&model, &x, &near).ok()).flatten()?;
                     Some((self.fitter.nll(&prediction), model, x))
                 });
                 let Some((_, model, x)) = moved.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
-                let slopes = best.slopes.iter().cloned().map(Some).collect();
-                if let Ok(heat) = self.fitter.fit(Start { model, x, slopes }, HEAT) {
+                if let Ok(heat) = self.fitter.fit(Start::near(&best, model, x), HEAT) {
                     self.finish(heat, progress);
                 }
             }
@@ -265,15 +303,16 @@ impl<'a> Competition<'a> {
             x.extend(index.map_or_else(|| effect.start(), own));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
-        self.fitter.fit(Start { model, x, slopes: Vec::new() }, Stop::EXACT)
+        let start = Start { corrections: best.corrections.clone(), ..Start::at(model, x) };
+        self.fitter.fit(start, Stop::CLOSE)
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.
     fn relaxed(&self, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let mut x = fit.x.clone();
         x[..fit.model.declared.len()].fill(0.0);
-        let none = Stop { steps: 0, ..Stop::EXACT };
-        self.fitter.fit(Start { model: fit.model.clone(), x, slopes: Vec::new() }, none)
+        let start = Start { corrections: fit.corrections.clone(), ..Start::at(fit.model.clone(), x) };
+        self.fitter.fit(start, Stop { steps: 0, ..Stop::CLOSE })
     }
 
     /// Keeps the better fit of each model.
@@ -302,8 +341,9 @@ impl<'a> Competition<'a> {
             x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
             x
         };
+        let near = base.model.tables(&base.x);
         let cost = |x: &Vec<f64>| {
-            let found = self.fitter.predict(model, x);
+            let found = self.fitter.predict_near(model, x, &near);
             found.map_or(f64::INFINITY, |p| self.fitter.nll(&p) + Fitter::prior(model, x))
         };
         let all = [at(1.0), at(0.5), at(0.0)];
@@ -357,7 +397,7 @@ impl<'a> Competition<'a> {
         let mut model = base.model.clone();
         model.effects.push(node.instance.clone());
         let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        let there = self.fitter.predict(&model, &x).ok()?;
+        let there = self.fitter.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
         let change = combined(&self.fitter.rows(&there).0, &base.rows, 1.0, -1.0);
         Some(Direction { node, change })
     }
@@ -367,7 +407,7 @@ impl<'a> Competition<'a> {
         let mut model = base.model.clone();
         model.effects.push(node.instance.clone());
         let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        let there = self.fitter.predict(&model, &x).ok()?;
+        let there = self.fitter.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
         let cost = self.fitter.nll(&there) + Fitter::prior(&base.model, &base.x);
         let log_posterior = self.prior_of(&node.instance) - cost;
         Some(Proposal { parts: vec![(node.instance, node.at)], beside: base.x.clone(), log_posterior })

@@ -1,12 +1,12 @@
 //! What other programs make of the same declared column: what these change is no property of a site.
 
 use super::forward::{Bins, Forward, Prediction};
-use crate::diagnosis::DiagnoseSettings;
-use crate::diagnosis::responses::Scene;
-use crate::effects;
 use crate::error::Result;
+use realfft::num_complex::Complex;
 use std::sync::Arc;
 use toml::Table;
+
+type C64 = Complex<f64>;
 
 /// Share of the motion below which a convention changes nothing.
 const NOTHING: f64 = 1e-6;
@@ -19,26 +19,19 @@ pub type Slope = Arc<Vec<Bins>>;
 ///
 /// # Errors
 /// When the column cannot be built.
-pub fn conventions(forward: &Forward<'_>, settings: &DiagnoseSettings, tables: &[Table]) -> Result<Vec<Slope>> {
-    let ours = Scene::new(forward.problem, settings)?;
-    let theirs = ours.without_dispersion();
-    let all: Vec<Table> = forward.problem.declared.iter().chain(tables).cloned().collect();
-    let built = effects::build_all(&all)?;
-    let groups: Vec<usize> = (0..forward.groups.len()).collect();
-    let [ours, theirs] = [ours, theirs].map(|scene| scene.responses(&built, &groups, None));
-    let (ours, theirs) = (ours?, theirs?);
-    let n = forward.problem.array.outputs.len();
+pub fn conventions(forward: &Forward<'_>, tables: &[Table]) -> Result<Vec<Slope>> {
+    let ours = forward.linear.motions(tables)?;
+    let theirs = forward.linear.without_dispersion()?.motions(tables)?;
     let mut power = [0.0, 0.0];
-    let mut added: Vec<Bins> = Vec::with_capacity(forward.records.len());
-    for (a, b) in ours.records.iter().flatten().zip(theirs.records.iter().flatten()) {
-        let mut bins: Bins = vec![Vec::with_capacity(a.motion.len() / n.max(1)); n];
-        for (i, (a, b)) in a.motion.iter().zip(&b.motion).enumerate() {
-            power[0] += a.norm_sqr();
-            power[1] += (b - a).norm_sqr();
-            bins[i % n].push(b - a);
-        }
-        added.push(bins);
-    }
+    let change =
+        |ours: &Vec<C64>, theirs: &Vec<C64>| -> Vec<C64> { ours.iter().zip(theirs).map(|(a, b)| b - a).collect() };
+    let by_sensor = |(ours, theirs): (&Bins, &Bins)| -> Bins {
+        let added: Bins = ours.iter().zip(theirs).map(|(a, b)| change(a, b)).collect();
+        power[0] += ours.iter().flatten().map(C64::norm_sqr).sum::<f64>();
+        power[1] += added.iter().flatten().map(C64::norm_sqr).sum::<f64>();
+        added
+    };
+    let added: Vec<Bins> = ours.iter().zip(theirs.iter()).map(by_sensor).collect();
     Ok(if power[1] > NOTHING * NOTHING * power[0] { vec![Arc::new(added)] } else { Vec::new() })
 }
 

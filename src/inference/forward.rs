@@ -7,6 +7,7 @@
 //!
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
+use super::linear_equivalent::LinearEquivalent;
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
 use crate::effects::{self, Channel, Effect, Instance, Operator, Place};
@@ -55,6 +56,8 @@ pub struct Forward<'a> {
     pub groups: Vec<Group>,
     /// Every record in order.
     pub records: Vec<At>,
+    /// The linear-equivalent column.
+    pub linear: LinearEquivalent<'a>,
     replay: &'a dyn Replay,
     names: Vec<String>,
     known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
@@ -78,6 +81,7 @@ impl<'a> Forward<'a> {
             problem,
             records,
             groups,
+            linear: LinearEquivalent::new(problem, &settings)?,
             replay,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
@@ -130,9 +134,14 @@ impl<'a> Forward<'a> {
         group.convolver.tapered(history.get(window).unwrap_or_default(), first, group.frequencies_hz.len())
     }
 
+    /// Those of `tables` that move the column.
+    fn shaken(&self, tables: &[Table]) -> Vec<Table> {
+        tables.iter().filter(|t| self.is_shaken(t)).cloned().collect()
+    }
+
     /// Motions at the output sensors under the effects that move the column, as spectra.
     fn motions(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
-        let shaken: Vec<Table> = tables.iter().filter(|t| self.is_shaken(t)).cloned().collect();
+        let shaken = self.shaken(tables);
         let key: String = shaken.iter().map(|t| format!("{t};")).collect();
         if let Some(known) = lock(&self.known).get(&key) {
             return Ok(known.clone());
@@ -152,7 +161,7 @@ impl<'a> Forward<'a> {
     /// # Errors
     /// When the column cannot be replayed.
     pub fn anchor(&self, tables: &[Table]) -> Result<()> {
-        let shaken: Vec<Table> = tables.iter().filter(|t| self.is_shaken(t)).cloned().collect();
+        let shaken = self.shaken(tables);
         let mut difference = self.spectra_of(self.replay.replay(&shaken)?)?;
         let rough = self.spectra_of(self.replay.replay_roughly(&shaken)?)?;
         add(&mut difference, &rough, -1.0);
@@ -166,7 +175,27 @@ impl<'a> Forward<'a> {
     /// # Errors
     /// When an effect cannot be built or the column cannot be replayed.
     pub fn predict(&self, tables: &[Table]) -> Result<Prediction> {
-        let motions = self.motions(tables)?;
+        self.recorded(tables, &self.motions(tables)?)
+    }
+
+    /// The same without a replay under `tables`: the replay under `near`, and what the linear-equivalent column makes of the difference.
+    ///
+    /// # Errors
+    /// As [`Forward::predict`].
+    pub fn predict_near(&self, tables: &[Table], near: &[Table]) -> Result<Prediction> {
+        let (to, from) = (self.shaken(tables), self.shaken(near));
+        let motions = self.motions(near)?;
+        if to == from {
+            return self.recorded(tables, &motions);
+        }
+        let mut motions = motions.to_vec();
+        add(&mut motions, &self.linear.motions(&to)?, 1.0);
+        add(&mut motions, &self.linear.motions(&from)?, -1.0);
+        self.recorded(tables, &motions)
+    }
+
+    /// What every sensor records of `motions`.
+    fn recorded(&self, tables: &[Table], motions: &[Bins]) -> Result<Prediction> {
         let all: Vec<Table> = self.problem.declared.iter().chain(tables).cloned().collect();
         let built = effects::build_all(&all)?;
         let sources: Vec<usize> = (0..self.names.len()).map(|s| self.source(&built, s)).collect();

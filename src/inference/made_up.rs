@@ -20,10 +20,11 @@ const DEPTH_M: f64 = 40.0;
 pub const DAMPING: f64 = 0.02;
 
 fn array(vs_m_s: f64) -> Array {
+    let law = toml::Table::from_iter([("damping_ratio".to_string(), DAMPING.into())]);
     Array {
         profile: Profile {
             water_table_m: 100.0,
-            ..Profile::plain(vec![Layer::plain("elastic", DEPTH_M, 2000.0, vs_m_s)])
+            ..Profile::plain(vec![Layer { law: law.into(), ..Layer::plain("elastic", DEPTH_M, 2000.0, vs_m_s) }])
         },
         input: "base".into(),
         outputs: ["mid", "top"].map(String::from).to_vec(),

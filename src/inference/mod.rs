@@ -17,6 +17,7 @@ mod competition;
 mod convention;
 mod covariance;
 mod forward;
+mod linear_equivalent;
 #[cfg(test)]
 mod made_up;
 mod parameters;

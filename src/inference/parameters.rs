@@ -3,13 +3,14 @@
 //! | parameter                        | coordinate                | prior                                            |
 //! |----------------------------------|---------------------------|--------------------------------------------------|
 //! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`COMMON_VELOCITY_LN`] for all together |
-//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln`                 |
+//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` and [`DAMPING_RATIO`] |
 //! | reference strain                 | standard deviations       | N(0, 1), [`NONLINEARITY_LN`]                     |
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
 //! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
 
 use super::convention::Slope;
+use crate::column::{Analysis, Column};
 use crate::diagnosis::Problem;
 use crate::effects::{self, Array, Class, Free, Instance};
 use crate::error::{Error, Result};
@@ -20,8 +21,16 @@ use toml::Table;
 pub const NONLINEARITY_LN: f64 = 0.15;
 /// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
 pub const COMMON_VELOCITY_LN: f64 = 0.01;
+/// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
+/// time steps of the program that has it, make of a ratio.
+///
+/// Source: Régnier et al. (2016), doi 10.1785/0120150284, for programs given the same column; Darendeli (2001) has 0.008 for a ratio of
+/// 0.01 in the laboratory alone.
+pub const DAMPING_RATIO: f64 = 0.003;
 /// Standard deviations of the prior of a strength, as multiples of its typical size.
 pub const WIDE: f64 = 1.5;
+/// Least share of a declared damping.
+const LEAST_DAMPING: f64 = 0.05;
 /// Most depth ranges with a velocity of their own.
 const MAX_RANGES: usize = 20;
 /// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
@@ -38,6 +47,8 @@ pub struct Tolerance {
     pub instance: Instance,
     /// Prior standard deviation of its coordinate.
     pub deviation: f64,
+    /// That of its value over what is declared, beside the deviation of the coordinate, where this one is a ln; else nothing.
+    absolute: f64,
 }
 
 impl Tolerance {
@@ -46,13 +57,21 @@ impl Tolerance {
         let parameter = effects::find(kind)?.catalogue.parameters.first().ok_or_else(none)?;
         let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
         let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
-        Ok(Self { instance: Instance { kind, target, free }, deviation })
+        Ok(Self { instance: Instance { kind, target, free }, deviation, absolute: 0.0 })
     }
 
     /// Coordinate of the effect's parameter `z` prior standard deviations from what is declared.
+    ///
+    /// ```text
+    /// dm/dz = √((a m)² + b²),   m(0) = 1:   m = b/a · sinh(a z + asinh(a/b))  (1)
+    /// ```
+    ///
+    /// for a multiplier m with the deviation a of its ln and an absolute one of b.
     pub fn coordinate(&self, z: f64) -> f64 {
         let p = self.instance.free[0].parameter;
-        p.coordinate(p.zero.unwrap_or(0.0)) + self.deviation * z
+        let (a, b) = (self.deviation, self.absolute);
+        let moved = if b > 0.0 { (b / a * (a * z + (a / b).asinh()).sinh()).max(LEAST_DAMPING).ln() } else { a * z };
+        p.coordinate(p.zero.unwrap_or(0.0)) + moved
     }
 }
 
@@ -79,10 +98,7 @@ impl Declared {
         let (array, t) = (&problem.array, &problem.tolerances);
         let cuts_m = ranges(array);
         let modes = modes(array, &cuts_m, t.vs_ln);
-        let mut others = vec![
-            Tolerance::new("small_strain_damping", &[], t.damping_ln)?,
-            Tolerance::new("nonlinearity", &[], NONLINEARITY_LN)?,
-        ];
+        let mut others = vec![damping(array, t.damping_ln)?, Tolerance::new("nonlinearity", &[], NONLINEARITY_LN)?];
         for sensor in array.sensors() {
             let target = [("sensor", sensor.into())];
             others.push(Tolerance::new("sensor_gain", &target, t.gain_ln)?);
@@ -241,6 +257,14 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
         Some(zero) => [free.parameter.coordinate(zero), WIDE * free.size],
         None => [free.parameter.coordinate(free.start), free.size],
     }
+}
+
+/// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared.
+fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
+    let travel_s: f64 = array.profile.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
+    let ratio = Column::new(&array.profile, &Analysis::default())?.small_strain_damping_ratio(0.25 / travel_s);
+    let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
+    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", &[], damping_ln)? })
 }
 
 /// Depths between which velocities move together: the layers, or ranges of equal travel time where there are too many.

@@ -11,6 +11,7 @@ use faer::{Mat, Side};
 use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
+use toml::Table;
 
 /// Most steps of a fit.
 const STEPS: usize = 30;
@@ -40,6 +41,8 @@ pub struct Fit<'a> {
     pub constant: f64,
     /// How residuals change with each coordinate.
     pub slopes: Vec<Arc<Rows>>,
+    /// What replays add to the slopes that the linear-equivalent column has in what is declared, where it was last told.
+    pub corrections: Arc<Vec<Rows>>,
     /// Normal equations: information on the coordinates, and in the last row and column the right-hand side.
     pub g: Mat<f64>,
 }
@@ -51,13 +54,23 @@ pub struct Stop {
     pub steps: usize,
     /// Expected gain below which it has converged, in ln of the posterior density.
     pub gain: f64,
-    /// Whether slopes are taken anew before it counts as converged.
+    /// Whether it has to have converged by slopes that replays tell; otherwise those of the linear-equivalent column will do.
     pub is_exact: bool,
 }
 
 impl Stop {
     /// At the most probable coordinates.
     pub const EXACT: Self = Self { steps: STEPS, gain: CONVERGED, is_exact: true };
+    /// Where the linear-equivalent column sees nothing to be gained any more.
+    pub const CLOSE: Self = Self { steps: STEPS, gain: CONVERGED, is_exact: false };
+}
+
+/// Where slopes come from, from the quickest to the best.
+#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+enum Source {
+    Carried,
+    Surrogate,
+    Replayed,
 }
 
 /// What fits models.
@@ -78,6 +91,38 @@ pub struct Start<'a> {
     pub x: Vec<f64>,
     /// Slopes that are known already, by coordinate.
     pub slopes: Vec<Option<Arc<Rows>>>,
+    /// Effects of the state of the column that is replayed, everything else by the linear-equivalent column from there; without one
+    /// every step is replayed.
+    pub near: Option<Vec<Table>>,
+    /// See [`Fit::corrections`]; empty where they are not known.
+    pub corrections: Arc<Vec<Rows>>,
+}
+
+impl<'a> Start<'a> {
+    /// From `x`, with slopes of the linear-equivalent column.
+    pub fn at(model: Model<'a>, x: Vec<f64>) -> Self {
+        Self { model, x, slopes: Vec::new(), near: None, corrections: Arc::default() }
+    }
+
+    /// From `x` by what is known beside the fit `base`; everything by the linear-equivalent column from there.
+    pub fn near(base: &Fit<'a>, model: Model<'a>, x: Vec<f64>) -> Self {
+        let near = Some(base.model.tables(&base.x));
+        Self { near, corrections: base.corrections.clone(), ..Self::at(model, x) }
+    }
+
+    /// From the fit `found`, with its slopes.
+    pub fn from(found: Fit<'a>) -> Self {
+        let Fit { model, x, slopes, corrections, .. } = found;
+        Self { slopes: slopes.into_iter().map(Some).collect(), corrections, ..Self::at(model, x) }
+    }
+}
+
+/// A point of a fit.
+struct Point {
+    x: Vec<f64>,
+    prediction: Arc<Prediction>,
+    rows: Arc<Rows>,
+    constant: f64,
 }
 
 impl<'a> Fitter<'a> {
@@ -96,9 +141,31 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed.
     pub fn predict(&self, model: &Model<'a>, x: &[f64]) -> Result<Arc<Prediction>> {
-        let mut prediction = self.forward.predict(&model.tables(x))?;
+        let prediction = self.forward.predict(&model.tables(x))?;
+        Ok(Self::with_conventions(prediction, model, x))
+    }
+
+    /// The same by the linear-equivalent column from the replay under `near`.
+    ///
+    /// # Errors
+    /// When a column cannot be built, or not be replayed under `near`.
+    pub fn predict_near(&self, model: &Model<'a>, x: &[f64], near: &[Table]) -> Result<Arc<Prediction>> {
+        let prediction = self.forward.predict_near(&model.tables(x), near)?;
+        Ok(Self::with_conventions(prediction, model, x))
+    }
+
+    fn with_conventions(mut prediction: Prediction, model: &Model<'_>, x: &[f64]) -> Arc<Prediction> {
         convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
-        Ok(Arc::new(prediction))
+        Arc::new(prediction)
+    }
+
+    fn point(&self, model: &Model<'a>, x: Vec<f64>, near: Option<&[Table]>) -> Result<Point> {
+        let prediction = match near {
+            Some(near) => self.predict_near(model, &x, near)?,
+            None => self.predict(model, &x)?,
+        };
+        let (rows, constant) = self.rows(&prediction);
+        Ok(Point { x, prediction, rows, constant })
     }
 
     fn weights(&self, prediction: &Prediction) -> Arc<Weights> {
@@ -121,19 +188,27 @@ impl<'a> Fitter<'a> {
         0.5 * square(&rows) + constant
     }
 
-    /// How residuals change with coordinate `i`; `None` where the column does not finish beside it.
-    fn slope(&self, model: &Model<'a>, x: &[f64], i: usize, rows: &Rows) -> Option<Arc<Rows>> {
-        let step = model.step(x, i);
-        let mut beside = x.to_vec();
+    /// How residuals change with coordinate `i`, by replays or by the linear-equivalent column from the replay under `near`; `None` where
+    /// the column does not finish beside it.
+    fn slope(&self, model: &Model<'a>, at: &Point, i: usize, near: Option<&[Table]>) -> Option<Arc<Rows>> {
+        let step = model.step(&at.x, i);
+        let mut beside = at.x.clone();
         beside[i] += step;
-        let there = self.predict(model, &beside).ok()?;
-        Some(Arc::new(combined(&self.rows(&there).0, rows, 1.0 / step, -1.0 / step)))
+        let there = self.point(model, beside, near).ok()?;
+        Some(Arc::new(combined(&there.rows, &at.rows, 1.0 / step, -1.0 / step)))
     }
 
-    fn all_slopes(&self, model: &Model<'a>, x: &[f64], rows: &Rows, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
+    fn all_slopes(
+        &self,
+        model: &Model<'a>,
+        at: &Point,
+        known: &[Option<Arc<Rows>>],
+        near: Option<&[Table]>,
+    ) -> Vec<Arc<Rows>> {
         let of = |i: usize| {
             let own = known.get(i).cloned().flatten().filter(|_| model.is_replayed(i));
-            own.or_else(|| self.slope(model, x, i, rows)).unwrap_or_else(|| Arc::new(combined(rows, rows, 0.0, 0.0)))
+            own.or_else(|| self.slope(model, at, i, near))
+                .unwrap_or_else(|| Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0)))
         };
         (0..model.len()).map(of).collect()
     }
@@ -148,16 +223,16 @@ impl<'a> Fitter<'a> {
     /// coordinates whose slopes are replays; those of sensors are taken anew.
     ///
     /// Source: (1) Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6.
-    fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], x: [&[f64]; 2], rows: [&Rows; 2]) {
+    fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2]) {
         let prior = model.prior();
-        let delta: Vec<f64> = (0..model.len()).map(|i| (x[1][i] - x[0][i]) / prior[i][1]).collect();
+        let delta: Vec<f64> = (0..model.len()).map(|i| (to.x[i] - from.x[i]) / prior[i][1]).collect();
         let square: f64 = (0..model.len()).filter(|i| model.is_replayed(*i)).map(|i| delta[i] * delta[i]).sum();
         if square < 1e-12 {
             return;
         }
-        let mut missed = combined(rows[1], rows[0], 1.0, -1.0);
+        let mut missed = combined(&to.rows, &from.rows, 1.0, -1.0);
         for (i, slope) in slopes.iter().enumerate() {
-            missed = combined(&missed, slope, 1.0, x[0][i] - x[1][i]);
+            missed = combined(&missed, slope, 1.0, from.x[i] - to.x[i]);
         }
         for (i, slope) in slopes.iter_mut().enumerate() {
             let factor = delta[i] / ((square + JITTER * JITTER) * prior[i][1]);
@@ -177,56 +252,78 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed at the start.
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
-        let Start { model, mut x, slopes: known } = start;
-        let mut prediction = self.predict(&model, &x)?;
-        let (mut rows, mut constant) = self.rows(&prediction);
-        let mut is_fresh = known.iter().all(Option::is_none);
-        let mut slopes = self.all_slopes(&model, &x, &rows, &known);
+        let Start { model, x, slopes: known, near, mut corrections } = start;
+        let mut at = self.point(&model, x, near.as_deref())?;
+        // Slopes by the linear-equivalent column are differences from where the fit stands.
+        let slopes_of = |at: &Point, known: &[Option<Arc<Rows>>], source: Source, corrections: &mut Arc<Vec<Rows>>| {
+            let own = model.tables(&at.x);
+            let mut quick = self.all_slopes(&model, at, known, Some(near.as_deref().unwrap_or(&own)));
+            if source == Source::Replayed {
+                let replayed = self.all_slopes(&model, at, &[], None);
+                let pairs = replayed.iter().zip(&quick).take(model.declared.len());
+                *corrections = Arc::new(pairs.map(|(a, b)| combined(a, b, 1.0, -1.0)).collect());
+                return replayed;
+            }
+            for (i, correction) in corrections.iter().enumerate().filter(|(i, _)| model.is_replayed(*i)) {
+                if known.get(i).is_none_or(Option::is_none) {
+                    quick[i] = Arc::new(combined(&quick[i], correction, 1.0, 1.0));
+                }
+            }
+            quick
+        };
+        let is_carried = known.iter().any(Option::is_some);
+        let (mut source, mut best) =
+            if is_carried { (Source::Carried, Source::Surrogate) } else { (Source::Surrogate, Source::Surrogate) };
+        let mut slopes = slopes_of(&at, &known, source, &mut corrections);
         let mut radius = RADIUS[0];
         for _ in 0..stop.steps {
-            let g = normal(&slopes, &rows);
-            let cost = 0.5 * square(&rows) + constant + Self::prior(&model, &x);
-            let (to, expected) = step(&model, &x, &g, radius);
+            let g = normal(&slopes, &at.rows);
+            let cost = at.cost(&model);
+            let (to, expected) = step(&model, &at.x, &g, radius);
             // What is left to gain is not what a short step gains.
-            let (_, whole) = step(&model, &x, &g, f64::INFINITY);
-            if whole < stop.gain || expected <= 0.0 || radius < RADIUS[2] {
-                if is_fresh || !stop.is_exact {
-                    break;
-                }
-                slopes = self.all_slopes(&model, &x, &rows, &[]);
-                (is_fresh, radius) = (true, radius.max(JITTER));
-                continue;
-            }
-            let found = self.predict(&model, &to).ok().map(|p| (self.rows(&p), p));
-            let new = found.as_ref().map_or(f64::INFINITY, |((rows, constant), _)| {
-                0.5 * square(rows) + constant + Self::prior(&model, &to)
-            });
-            let ratio = (cost - new) / expected;
-            if let Some(((there, _), _)) = &found {
-                Self::learn(&model, &mut slopes, [&x, &to], [&rows, there]);
+            let (_, whole) = step(&model, &at.x, &g, f64::INFINITY);
+            let is_at_end = whole < stop.gain || expected <= 0.0 || radius < RADIUS[2];
+            let found = if is_at_end { None } else { self.point(&model, to.clone(), near.as_deref()).ok() };
+            let ratio = found.as_ref().map_or(f64::NEG_INFINITY, |found| (cost - found.cost(&model)) / expected);
+            if let Some(found) = &found {
+                Self::learn(&model, &mut slopes, [&at, found]);
             }
             radius = match ratio {
+                _ if is_at_end => radius.max(JITTER),
                 r if r > 0.75 => (2.0 * radius).min(RADIUS[1]),
                 r if r < TRUSTED[0] => 0.35 * radius,
                 _ => radius,
             };
-            match found {
-                Some(((there, own), found)) if ratio > TRUSTED[1] => {
-                    (x, prediction, rows, constant) = (to, found, there, own);
-                    // Slopes that foresaw something else are those of another place.
-                    is_fresh = stop.is_exact && !(AGREE[0]..AGREE[1]).contains(&ratio);
-                    let known: Vec<Option<Arc<Rows>>> = slopes.iter().cloned().map(Some).collect();
-                    slopes = self.all_slopes(&model, &x, &rows, if is_fresh { &[] } else { &known });
-                }
-                _ if !is_fresh => {
-                    slopes = self.all_slopes(&model, &x, &rows, &[]);
-                    is_fresh = true;
-                }
-                _ => {}
+            let is_taken = found.is_some() && ratio > TRUSTED[1];
+            let better = match source {
+                Source::Carried => Some(best),
+                Source::Surrogate => stop.is_exact.then_some(Source::Replayed),
+                Source::Replayed => None,
+            };
+            if is_taken {
+                at = found.unwrap_or(at);
+                // Slopes that foresaw something else are those of another place.
+                let is_other = !(AGREE[0]..AGREE[1]).contains(&ratio);
+                let known: Vec<Option<Arc<Rows>>> = slopes.iter().cloned().map(Some).collect();
+                source = if is_other { Source::Surrogate } else { Source::Carried };
+                slopes = slopes_of(&at, if is_other { &[] } else { &known }, source, &mut corrections);
+            } else if let Some(better) = better {
+                (source, best) = (better, better);
+                slopes = slopes_of(&at, &[], source, &mut corrections);
+            } else if is_at_end {
+                break;
             }
         }
-        let g = normal(&slopes, &rows);
-        Ok(Fit { model, x, prediction, rows, constant, slopes, g })
+        let g = normal(&slopes, &at.rows);
+        let Point { x, prediction, rows, constant } = at;
+        Ok(Fit { model, x, prediction, rows, constant, slopes, corrections, g })
+    }
+}
+
+impl Point {
+    /// −ln of the posterior density, constants apart.
+    fn cost(&self, model: &Model<'_>) -> f64 {
+        0.5 * square(&self.rows) + self.constant + Fitter::prior(model, &self.x)
     }
 }
 
@@ -407,11 +504,11 @@ mod tests {
         let mut prediction = Arc::new(forward.predict(&model.tables(&x)).unwrap());
         for _ in 0..3 {
             let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
-            let fit = fitter.fit(Start { model: model.clone(), x, slopes: Vec::new() }, Stop::EXACT).unwrap();
+            let fit = fitter.fit(Start::at(model.clone(), x), Stop::EXACT).unwrap();
             (x, prediction) = (fit.x, fit.prediction);
         }
         let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
-        let fit = fitter.fit(Start { model, x, slopes: Vec::new() }, Stop::EXACT).unwrap();
+        let fit = fitter.fit(Start::at(model, x), Stop::EXACT).unwrap();
         use_of(&fit, &fitter)
     }
 
@@ -419,7 +516,7 @@ mod tests {
     fn damping_ratio(fit: &Fit<'_>) -> f64 {
         let declared = fit.model.declared;
         let tolerance = declared.others.iter().position(|o| o.instance.kind == "small_strain_damping").unwrap();
-        let tolerated = declared.others[tolerance].deviation * fit.x[declared.n_mode() + tolerance];
+        let tolerated = declared.others[tolerance].coordinate(fit.x[declared.n_mode() + tolerance]);
         DAMPING * (fit.x[fit.model.start(0)] + tolerated).exp()
     }
 
@@ -434,22 +531,45 @@ mod tests {
             let model = fit.model.clone();
             let n = model.len();
             let x: Vec<f64> = fit.x.iter().zip(model.prior()).map(|(x, [_, sd])| x + 0.1 * sd).collect();
-            let rows = fitter.rows(&fitter.predict(&model, &x).unwrap()).0;
-            let g = normal(&fitter.all_slopes(&model, &x, &rows, &[]), &rows);
+            let at = fitter.point(&model, x, None).unwrap();
+            let g = normal(&fitter.all_slopes(&model, &at, &[], None), &at.rows);
             let mut stream = random::stream(3, "directions");
             for _ in 0..5 {
                 let direction: Vec<f64> = (0..n).map(|_| stream.random::<f64>() - 0.5).collect();
                 let expected: f64 = -(0..n).map(|i| direction[i] * g[(i, n)]).sum::<f64>();
                 let size = (0..n).map(|i| (direction[i] * g[(i, n)]).powi(2)).sum::<f64>().sqrt();
-                let at = |h: f64| {
-                    let beside: Vec<f64> = x.iter().zip(&direction).map(|(x, d)| x + h * d).collect();
+                let beside = |h: f64| {
+                    let beside: Vec<f64> = at.x.iter().zip(&direction).map(|(x, d)| x + h * d).collect();
                     fitter.nll(&fitter.predict(&model, &beside).unwrap())
                 };
-                let found = (at(1e-4) - at(-1e-4)) / 2e-4;
+                let found = (beside(1e-4) - beside(-1e-4)) / 2e-4;
                 // Slopes are differences over a fifth of a prior deviation.
                 assert!((found - expected).abs() < 0.1 * size, "{found} {expected} {size}");
             }
         });
+    }
+
+    #[test]
+    fn surrogate_slopes_are_those_of_replays() {
+        let problem = problem(&Truth::default());
+        let replay = Uniform(&problem);
+        let mut forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        // The analytic column that stands for replays here has damping without dispersion.
+        forward.linear = forward.linear.without_dispersion().unwrap();
+        let declared = Declared::new(&problem).unwrap();
+        let model = Model { declared: &declared, effects: Vec::new() };
+        let prediction = Arc::new(forward.predict(&[]).unwrap());
+        let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+        for share in [0.0, 0.5] {
+            let at = fitter.point(&model, vec![share; model.len()], None).unwrap();
+            let replayed = fitter.all_slopes(&model, &at, &[], None);
+            let surrogate = fitter.all_slopes(&model, &at, &[], Some(&model.tables(&at.x)));
+            for (i, (a, b)) in replayed.iter().zip(&surrogate).enumerate() {
+                let [missed, whole] = [square(&combined(a, b, 1.0, -1.0)), square(a)].map(f64::sqrt);
+                // Its elements are a few to a wave, so that the peaks of the higher modes are not quite where they are.
+                assert!(missed < 0.2 * whole, "coordinate {i}: {missed} of {whole}");
+            }
+        }
     }
 
     #[test]

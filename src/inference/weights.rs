@@ -11,8 +11,13 @@ use std::ops::Range;
 
 type C64 = Complex<f64>;
 
-/// Bands to an octave: what the column has wrong is taken to be one complex number in each.
+/// Bands to an octave over which moments are taken.
 const AN_OCTAVE: f64 = 6.0;
+/// Octaves over which what the column has wrong is one complex number.
+///
+/// Source: Bayless and Abrahamson (2019), doi 10.1785/0120180240: site terms of Fourier amplitudes keep a correlation of one half over
+/// about that ratio of frequencies.
+const ALIKE_OCTAVES: f64 = 0.5;
 /// Least bins of a band.
 const LEAST_BINS: usize = 3;
 /// Knots of the coherence, between the ends of the frequency band at equal ratios.
@@ -84,10 +89,10 @@ struct Record {
 /// ```
 ///
 /// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. m is the declared error
-/// of the column, a share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of a band
-/// and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of anything smooth than a
+/// of the column, a share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of
+/// [`ALIKE_OCTAVES`] and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of anything smooth than a
 /// likelihood with that correlation would. Where the field strays from its base only amplitudes tell of the column: (2), A being the
-/// RMS amplitude of a band of n bins and R the number of records.
+/// RMS amplitude of a band of n bins and R the number of records times that of the bands that share the error.
 ///
 /// Σ is made of what was recorded and does not change with the prediction. So a prediction gains nothing by shrinking, and models that
 /// are compared are compared by one Σ. Cross terms between sensors are those of noise of the base alone.
@@ -325,7 +330,7 @@ impl Weights {
         let strays = |s: usize, k: usize| (1.0 - coherence[s][k].powi(2)).max(0.0) * recorded[s][k];
         let step_hz = f[1] - f[0];
         let sigma = |k: usize| {
-            let n_bin = (f[k] * ((LN_2 / AN_OCTAVE).exp() - 1.0) / step_hz).max(1.0);
+            let n_bin = (f[k] * ((LN_2 * ALIKE_OCTAVES).exp() - 1.0) / step_hz).max(1.0);
             let d = |s: usize| {
                 let own = level * level * n_bin * n_record * added[s][k];
                 (noise[s + 1][k] + strays(s, k) + own).max(f64::MIN_POSITIVE)
@@ -338,7 +343,8 @@ impl Weights {
             let noisy = sum(&|k| noise[s + 1][k] + gain[s][k].norm_sqr() * noise[0][k]);
             let stray = sum(&|k| strays(s, k));
             let share = stray / (stray + noisy).max(f64::MIN_POSITIVE);
-            let weight = share / (0.25 / n + level * level * n_record).sqrt();
+            let alike = n_record * ALIKE_OCTAVES * AN_OCTAVE;
+            let weight = share / (0.25 / n + level * level * alike).sqrt();
             Band { weight, noise: sum(&|k| noise[s + 1][k]), bins }
         };
         let sigma: Vec<Covariance> = (0..f.len()).map(sigma).collect();
