@@ -4,7 +4,7 @@ use super::anchor::Anchor;
 use super::problem::Replay;
 use super::responses::Scene;
 use super::unknowns::Placed;
-use crate::effects;
+use crate::effects::{self, Effect};
 use crate::error::Result;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
@@ -51,16 +51,19 @@ impl Scene<'_> {
     pub fn declared(&mut self, replay: Option<&dyn Replay>, n_nuisance: usize) -> Result<Anchor> {
         let Some(replay) = replay else { return Ok(Anchor::fast(self)) };
         let replays = replay.replay(&[])?;
-        self.tune(&replays)?;
         let built = effects::build_all(&self.problem.declared)?;
+        self.tune(&built, &replays)?;
         let all: Vec<usize> = (0..self.groups.len()).collect();
         let responses = self.responses(&built, &all, None)?;
         let anchor = Anchor::of(self, &replays, (&built, &Placed::plain(&vec![0.0; n_nuisance])), &responses, None);
         Ok(anchor)
     }
 
-    fn tune(&mut self, replays: &[Option<Vec<Vec<f64>>>]) -> Result<()> {
-        let built = effects::build_all(&self.problem.declared)?;
+    /// Tunes the fast column of each record to `replays` under the effects `built`.
+    ///
+    /// # Errors
+    /// When the column cannot be built.
+    pub fn tune(&mut self, built: &[Box<dyn Effect>], replays: &[Option<Vec<Vec<f64>>>]) -> Result<()> {
         let records: Vec<[usize; 2]> = self.record_indices().collect();
         let tuned: Vec<Tuning> = records
             .par_iter()
@@ -74,7 +77,7 @@ impl Scene<'_> {
                     .map(|w| 1.0 / w.iter().map(C64::norm_sqr).sum::<f64>().sqrt().max(f64::MIN_POSITIVE))
                     .collect();
                 let residual = |p: [f64; 3]| -> Result<Vec<f64>> {
-                    let motion = self.motion_with(&built, [g, r], Tuning(p))?;
+                    let motion = self.motion_with(built, [g, r], Tuning(p))?;
                     let n = wanted.len();
                     let miss = |(i, v): (usize, &C64)| (v - wanted[i % n][i / n]) * scales[i % n];
                     Ok(motion.iter().enumerate().map(miss).flat_map(|c| [c.re, c.im]).collect())

@@ -26,6 +26,8 @@ const NORMAL: f64 = 1.96;
 /// Most rounds of recalibration, and the change of the column's level (ln) below which they end.
 const RECALIBRATIONS: usize = 4;
 const STILL: f64 = 0.1;
+/// Share of the slopes of the column that the linear-equivalent one may miss to stand in for it.
+const GOOD: f64 = 0.3;
 /// When a fit of these rounds ends.
 const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false };
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
@@ -45,6 +47,7 @@ pub fn diagnose(
 ) -> Result<Diagnosis> {
     let forward = Forward::new(problem, replay, settings)?;
     let plain = Declared::new(problem)?;
+    forward.anchor(&[])?;
     let (spread, start) = recalibrated(&forward, &plain)?;
     progress.note(&format!("recalibrated: level {:.2}, {} replays", spread.level, forward.replays()));
     // What few elements leave wrong is taken out where it matters.
@@ -57,6 +60,9 @@ pub fn diagnose(
     let prediction = std::sync::Arc::new(forward.predict(&tables)?);
     let fitter = Fitter::new(&forward, spread, prediction);
     let fit = fitter.fit(Start::at(model, x), Stop::EXACT)?;
+    let missed = fit.corrections.missed();
+    progress.note(&format!("the linear-equivalent column misses {missed:.2} of what the column does"));
+    forward.rely_on_linear(missed < GOOD);
     let mut competition = Competition::new(fitter, fit, settings.max_effects);
     competition.run(progress)?;
     progress.note(&format!("{} replays", forward.replays()));
@@ -65,7 +71,7 @@ pub fn diagnose(
 
 /// What is declared, most probable within its tolerances: what the records say of the field and of the column's error is read off
 /// beside it, until that stands still.
-fn recalibrated<'a>(forward: &Forward<'a>, declared: &'a Declared) -> Result<(Spread, (Model<'a>, Vec<f64>))> {
+fn recalibrated<'a>(forward: &'a Forward<'a>, declared: &'a Declared) -> Result<(Spread, (Model<'a>, Vec<f64>))> {
     let model = Model { declared, effects: Vec::new() };
     let mut x = vec![0.0; model.len()];
     let mut prediction = std::sync::Arc::new(forward.predict(&[])?);
@@ -220,7 +226,7 @@ impl Answer<'_, '_> {
             share: share[0] + share[1],
             repeatable_share: share[0],
             coherence: coherence.collect(),
-            place: outputs.iter().cloned().zip(spread.repeatable.iter().cloned()).collect(),
+            place: outputs.iter().enumerate().map(|(s, name)| (name.clone(), spread.by_band(s))).collect(),
             level: spread.level,
         }
     }

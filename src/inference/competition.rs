@@ -22,7 +22,7 @@ use std::sync::Arc;
 const HEATS: usize = 4;
 const FINALS: usize = 3;
 /// Steps of the first fits.
-const HEAT: Stop = Stop { steps: 5, gain: 0.3, is_exact: false };
+const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false };
 /// ln of the odds against the best within which models are fitted to the end, and within which they are fitted again when what is expected
 /// of residuals has changed.
 const CLOSE: f64 = 10.0;
@@ -226,12 +226,37 @@ impl<'a> Competition<'a> {
             proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
             // A pair that holds what a single one holds is always as good before it is fitted.
             let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
+            if std::env::var("DBG").is_ok() {
+                eprintln!(
+                    "DBG base {:?} {:.1?} lp {:.1}",
+                    point.model.effects.iter().map(|e| e.place()).collect::<Vec<_>>(),
+                    point.x,
+                    self.log_posterior(point)
+                );
+                for p in singles.iter().take(12).chain(pairs.iter().take(6)) {
+                    eprintln!(
+                        "DBG  {:?} {:.1}",
+                        p.parts.iter().map(|(e, x)| format!("{} {} {:.2?}", e.kind, e.place(), x)).collect::<Vec<_>>(),
+                        p.log_posterior
+                    );
+                }
+            }
             for set in distinct(singles).into_iter().chain(distinct(pairs)) {
                 let mut all = base.model.effects.clone();
                 all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
                 let model = Model { declared: base.model.declared, effects: all };
                 let x = self.started(point, &model, &set);
                 heats.extend(self.fitter.fit(Start::near(point, model, x), HEAT));
+            }
+        }
+        if std::env::var("DBG").is_ok() {
+            for h in &heats {
+                eprintln!(
+                    "DBG heat {:?} {:.1} {:.1?}",
+                    h.model.effects.iter().map(|e| format!("{} {}", e.kind, e.place())).collect::<Vec<_>>(),
+                    self.log_posterior(h),
+                    &h.x[h.model.declared.len()..]
+                );
             }
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));

@@ -20,8 +20,9 @@ pub type Slope = Arc<Vec<Bins>>;
 /// # Errors
 /// When the column cannot be built.
 pub fn conventions(forward: &Forward<'_>, tables: &[Table]) -> Result<Vec<Slope>> {
-    let ours = forward.linear.motions(tables)?;
-    let theirs = forward.linear.without_dispersion()?.motions(tables)?;
+    let linear = forward.linear();
+    let ours = linear.motions(tables)?;
+    let theirs = linear.without_dispersion()?.motions(tables)?;
     let mut power = [0.0, 0.0];
     let change =
         |ours: &Vec<C64>, theirs: &Vec<C64>| -> Vec<C64> { ours.iter().zip(theirs).map(|(a, b)| b - a).collect() };

@@ -15,6 +15,7 @@ use crate::error::{Error, Result};
 use crate::numerics::spectrum;
 use realfft::num_complex::Complex;
 use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::Table;
 
@@ -56,8 +57,8 @@ pub struct Forward<'a> {
     pub groups: Vec<Group>,
     /// Every record in order.
     pub records: Vec<At>,
-    /// The linear-equivalent column.
-    pub linear: LinearEquivalent<'a>,
+    linear: Mutex<Arc<LinearEquivalent<'a>>>,
+    is_linear_good: AtomicBool,
     replay: &'a dyn Replay,
     names: Vec<String>,
     known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
@@ -81,13 +82,32 @@ impl<'a> Forward<'a> {
             problem,
             records,
             groups,
-            linear: LinearEquivalent::new(problem, &settings)?,
+            linear: Mutex::new(Arc::new(LinearEquivalent::new(problem, &settings)?)),
+            is_linear_good: AtomicBool::new(true),
             replay,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
             difference: Mutex::default(),
             replays: Mutex::default(),
         })
+    }
+
+    /// Says whether the linear-equivalent column may stand in for replays.
+    pub fn rely_on_linear(&self, is_good: bool) {
+        self.is_linear_good.store(is_good, Ordering::Relaxed);
+    }
+
+    /// The linear-equivalent column.
+    pub fn linear(&self) -> Arc<LinearEquivalent<'a>> {
+        lock(&self.linear).clone()
+    }
+
+    /// Takes the linear-equivalent column without dispersion.
+    #[cfg(test)]
+    pub fn without_dispersion(&self) -> Result<()> {
+        let plain = self.linear().without_dispersion()?;
+        *lock(&self.linear) = Arc::new(plain);
+        Ok(())
     }
 
     /// Replays run so far.
@@ -156,13 +176,17 @@ impl<'a> Forward<'a> {
         Ok(found)
     }
 
-    /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there.
+    /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there, and the
+    /// linear-equivalent column is tuned to it.
     ///
     /// # Errors
     /// When the column cannot be replayed.
     pub fn anchor(&self, tables: &[Table]) -> Result<()> {
         let shaken = self.shaken(tables);
-        let mut difference = self.spectra_of(self.replay.replay(&shaken)?)?;
+        let fine = self.replay.replay(&shaken)?;
+        let tuned = self.linear().tuned(&shaken, &fine)?;
+        *lock(&self.linear) = Arc::new(tuned);
+        let mut difference = self.spectra_of(fine)?;
         let rough = self.spectra_of(self.replay.replay_roughly(&shaken)?)?;
         add(&mut difference, &rough, -1.0);
         *lock(&self.difference) = Some(Arc::new(difference));
@@ -178,19 +202,24 @@ impl<'a> Forward<'a> {
         self.recorded(tables, &self.motions(tables)?)
     }
 
-    /// The same without a replay under `tables`: the replay under `near`, and what the linear-equivalent column makes of the difference.
+    /// The same without a replay under `tables`: the replay under `near`, and what the linear-equivalent column makes of the difference;
+    /// where that is not good enough, a replay.
     ///
     /// # Errors
     /// As [`Forward::predict`].
     pub fn predict_near(&self, tables: &[Table], near: &[Table]) -> Result<Prediction> {
+        if !self.is_linear_good.load(Ordering::Relaxed) {
+            return self.predict(tables);
+        }
         let (to, from) = (self.shaken(tables), self.shaken(near));
         let motions = self.motions(near)?;
         if to == from {
             return self.recorded(tables, &motions);
         }
         let mut motions = motions.to_vec();
-        add(&mut motions, &self.linear.motions(&to)?, 1.0);
-        add(&mut motions, &self.linear.motions(&from)?, -1.0);
+        let linear = self.linear();
+        add(&mut motions, &linear.motions(&to)?, 1.0);
+        add(&mut motions, &linear.motions(&from)?, -1.0);
         self.recorded(tables, &motions)
     }
 

@@ -2,7 +2,7 @@
 
 use super::forward::Bins;
 use crate::diagnosis::responses::{Responses, Scene};
-use crate::diagnosis::{DiagnoseSettings, Problem};
+use crate::diagnosis::{DiagnoseSettings, Motions, Problem};
 use crate::effects;
 use crate::error::Result;
 use std::collections::HashMap;
@@ -18,8 +18,8 @@ const REMEMBERED: usize = 64;
 /// y(b) ≈ y(a) + L(b) − L(a)                                              (1)
 /// ```
 ///
-/// y is a replay and L this column. What it has wrong of one state it has wrong of its neighbours, so that differences are good where
-/// values are not.
+/// y is a replay and L this column, tuned to a replay nearby. What it has wrong of one state it has wrong of its neighbours, so that
+/// differences are good where values are not.
 ///
 /// Limits: those of [`crate::diagnosis::responses`]: effective strains, no permanent ones.
 /// Check:  `surrogate_slopes_are_those_of_replays`.
@@ -46,6 +46,17 @@ impl<'a> LinearEquivalent<'a> {
     /// When the column cannot be built.
     pub fn without_dispersion(&self) -> Result<Self> {
         Self::of(self.scene.without_dispersion())
+    }
+
+    /// The same column, its modulus and damping tuned in each record to `replays` under `tables`.
+    ///
+    /// # Errors
+    /// When the column cannot be built.
+    pub fn tuned(&self, tables: &[Table], replays: &Motions) -> Result<Self> {
+        let all: Vec<Table> = self.scene.problem.declared.iter().chain(tables).cloned().collect();
+        let mut scene = self.scene.clone();
+        scene.tune(&effects::build_all(&all)?, replays)?;
+        Self::of(scene)
     }
 
     fn of(scene: Scene<'a>) -> Result<Self> {

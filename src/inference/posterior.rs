@@ -23,6 +23,8 @@ const TRUSTED: [f64; 2] = [0.3, 0.02];
 const AGREE: [f64; 2] = [0.5, 1.6];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
 const RADIUS: [f64; 3] = [1.0, 4.0, 0.02];
+/// Prior standard deviations within which what replays add to slopes is carried on.
+const NEAR: f64 = 1.0;
 /// Length of a step, prior standard deviations, below which what a replay does is as much the chance of its time steps as the step's.
 const JITTER: f64 = 0.2;
 
@@ -42,9 +44,33 @@ pub struct Fit<'a> {
     /// How residuals change with each coordinate.
     pub slopes: Vec<Arc<Rows>>,
     /// What replays add to the slopes that the linear-equivalent column has in what is declared, where it was last told.
-    pub corrections: Arc<Vec<Rows>>,
+    pub corrections: Arc<Corrections>,
     /// Normal equations: information on the coordinates, and in the last row and column the right-hand side.
     pub g: Mat<f64>,
+}
+
+/// What replays add to the slopes of the linear-equivalent column.
+#[derive(Default)]
+pub struct Corrections {
+    /// The coordinates of what is declared where that was told.
+    at: Vec<f64>,
+    /// By coordinate.
+    slopes: Vec<Rows>,
+    /// Their size over that of the slopes.
+    share: f64,
+}
+
+impl Corrections {
+    /// Size of what the linear-equivalent column misses over that of the slopes.
+    pub fn missed(&self) -> f64 {
+        self.share
+    }
+
+    /// The corrections, as far as they hold at `x`.
+    fn near(&self, x: &[f64]) -> &[Rows] {
+        let is_near = self.at.iter().zip(x).all(|(a, b)| (a - b).abs() < NEAR);
+        if is_near { &self.slopes } else { &[] }
+    }
 }
 
 /// When a fit ends.
@@ -95,7 +121,7 @@ pub struct Start<'a> {
     /// every step is replayed.
     pub near: Option<Vec<Table>>,
     /// See [`Fit::corrections`]; empty where they are not known.
-    pub corrections: Arc<Vec<Rows>>,
+    pub corrections: Arc<Corrections>,
 }
 
 impl<'a> Start<'a> {
@@ -104,10 +130,12 @@ impl<'a> Start<'a> {
         Self { model, x, slopes: Vec::new(), near: None, corrections: Arc::default() }
     }
 
-    /// From `x` by what is known beside the fit `base`; everything by the linear-equivalent column from there.
+    /// From `x` by what is known beside the fit `base`, to which the model adds effects; everything by the linear-equivalent column from
+    /// there.
     pub fn near(base: &Fit<'a>, model: Model<'a>, x: Vec<f64>) -> Self {
         let near = Some(base.model.tables(&base.x));
-        Self { near, corrections: base.corrections.clone(), ..Self::at(model, x) }
+        let slopes = base.slopes.iter().cloned().map(Some).collect();
+        Self { near, slopes, corrections: base.corrections.clone(), ..Self::at(model, x) }
     }
 
     /// From the fit `found`, with its slopes.
@@ -255,22 +283,28 @@ impl<'a> Fitter<'a> {
         let Start { model, x, slopes: known, near, mut corrections } = start;
         let mut at = self.point(&model, x, near.as_deref())?;
         // Slopes by the linear-equivalent column are differences from where the fit stands.
-        let slopes_of = |at: &Point, known: &[Option<Arc<Rows>>], source: Source, corrections: &mut Arc<Vec<Rows>>| {
-            let own = model.tables(&at.x);
-            let mut quick = self.all_slopes(&model, at, known, Some(near.as_deref().unwrap_or(&own)));
-            if source == Source::Replayed {
-                let replayed = self.all_slopes(&model, at, &[], None);
-                let pairs = replayed.iter().zip(&quick).take(model.declared.len());
-                *corrections = Arc::new(pairs.map(|(a, b)| combined(a, b, 1.0, -1.0)).collect());
-                return replayed;
-            }
-            for (i, correction) in corrections.iter().enumerate().filter(|(i, _)| model.is_replayed(*i)) {
-                if known.get(i).is_none_or(Option::is_none) {
-                    quick[i] = Arc::new(combined(&quick[i], correction, 1.0, 1.0));
+        let slopes_of =
+            |at: &Point, known: &[Option<Arc<Rows>>], source: Source, corrections: &mut Arc<Corrections>| {
+                let own = model.tables(&at.x);
+                let mut quick = self.all_slopes(&model, at, known, Some(near.as_deref().unwrap_or(&own)));
+                if source == Source::Replayed {
+                    let replayed = self.all_slopes(&model, at, &[], None);
+                    let pairs = replayed.iter().zip(&quick).take(model.declared.len());
+                    let slopes: Vec<Rows> = pairs.map(|(a, b)| combined(a, b, 1.0, -1.0)).collect();
+                    let size = |all: &mut dyn Iterator<Item = &Rows>| all.map(square).sum::<f64>().sqrt();
+                    let whole = size(&mut replayed.iter().take(model.declared.len()).map(AsRef::as_ref));
+                    let share = size(&mut slopes.iter()) / whole.max(f64::MIN_POSITIVE);
+                    *corrections = Arc::new(Corrections { at: at.x[..model.declared.len()].to_vec(), slopes, share });
+                    return replayed;
                 }
-            }
-            quick
-        };
+                for (i, correction) in corrections.near(&at.x).iter().enumerate().filter(|(i, _)| model.is_replayed(*i))
+                {
+                    if known.get(i).is_none_or(Option::is_none) {
+                        quick[i] = Arc::new(combined(&quick[i], correction, 1.0, 1.0));
+                    }
+                }
+                quick
+            };
         let is_carried = known.iter().any(Option::is_some);
         let (mut source, mut best) =
             if is_carried { (Source::Carried, Source::Surrogate) } else { (Source::Surrogate, Source::Surrogate) };
@@ -493,7 +527,7 @@ mod tests {
     use rand::RngExt;
 
     /// Fits the model with effects of `kinds` to `problem`, what is expected of residuals read off in turn.
-    fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl FnOnce(&Fit<'_>, &Fitter<'_>) -> T) -> T {
+    fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl for<'x> FnOnce(&Fit<'x>, &Fitter<'x>) -> T) -> T {
         let replay = Uniform(problem);
         let forward = Forward::new(problem, &replay, &DiagnoseSettings::default()).unwrap();
         let declared = Declared::new(problem).unwrap();
@@ -553,9 +587,9 @@ mod tests {
     fn surrogate_slopes_are_those_of_replays() {
         let problem = problem(&Truth::default());
         let replay = Uniform(&problem);
-        let mut forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
         // The analytic column that stands for replays here has damping without dispersion.
-        forward.linear = forward.linear.without_dispersion().unwrap();
+        forward.without_dispersion().unwrap();
         let declared = Declared::new(&problem).unwrap();
         let model = Model { declared: &declared, effects: Vec::new() };
         let prediction = Arc::new(forward.predict(&[]).unwrap());

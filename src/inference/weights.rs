@@ -26,10 +26,12 @@ const KNOTS: usize = 7;
 const RESOLUTION: usize = 1;
 /// Noise of a sensor where nothing tells it, as a share of the RMS of its record within the frequency band.
 const USUAL_NOISE: f64 = 0.01;
-/// Bands that the declared error of the column counts for when its level is estimated.
-const PRIOR_BANDS: f64 = 10.0;
+/// Values of the column's error that the declared one counts for when its level is estimated.
+const PRIOR_VALUES: f64 = 10.0;
 /// Smallest coherence that is still told from none.
 const LEAST_COHERENCE: f64 = 0.05;
+/// Least of these errors over the declared one.
+const LEAST_LEVEL: f64 = 0.2;
 /// Least error of a column.
 const LEAST_ERROR: f64 = 1e-4;
 /// Smallest power, as a share of the largest of a record.
@@ -38,13 +40,23 @@ const FLOOR: f64 = 1e-12;
 /// What the records say of the field and of the column's error, beside one prediction of them.
 #[derive(Debug, Clone)]
 pub struct Spread {
-    /// Error of the column over the declared one, at least 1.
+    /// Error of the column over the declared one.
     pub level: f64,
     /// Coherence of each output sensor with its prediction at the knots.
     pub coherence: Vec<Vec<f64>>,
-    /// What all records share of the residual of each output sensor, as a share of what the column adds: frequency in Hz, real and
-    /// imaginary part.
-    pub repeatable: Vec<Vec<[f64; 3]>>,
+    /// What all records share of the residual of each output sensor, by frequency.
+    pub repeatable: Vec<Vec<Shared>>,
+}
+
+/// What all records share of a residual at one frequency.
+#[derive(Debug, Clone, Copy)]
+pub struct Shared {
+    /// Frequency, Hz.
+    f_hz: f64,
+    /// As a share of what the column adds.
+    delta: C64,
+    /// Its expected |δ|² where nothing is shared.
+    chance: f64,
 }
 
 /// Residuals of all records in units of what is expected of them, record by record.
@@ -188,8 +200,8 @@ impl Spread {
     /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (3)
     /// ```
     ///
-    /// Sums of (1) and (2) are over the bins of a band and all records, each weighted by its power; n is their number, and v what noise
-    /// and straying make of δ by chance. ν bands count for the declared error m.
+    /// Sums of (1) are over the bins of a band and all records, each weighted by its power, n their number; those of (2) over the bins of
+    /// the shortest record's resolution; v is what noise and straying make of δ by chance. ν values of δ count for the declared error m.
     pub fn estimated(forward: &Forward<'_>, prediction: &Prediction) -> Self {
         let n_sensor = forward.problem.array.outputs.len();
         let ends = band_hz(forward);
@@ -197,11 +209,15 @@ impl Spread {
         let n_band = ((ends[1] / ends[0]).log2() * AN_OCTAVE).ceil().max(1.0) as usize;
         let at_hz = |b: usize| ends[0] * (ends[1] / ends[0]).powf((b as f64 + 0.5) / n_band as f64);
         let band_of = |f: f64| (((f / ends[0]).log2() * AN_OCTAVE) as usize).min(n_band - 1);
+        // As narrow as the shortest record tells apart.
+        let step_hz = forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max);
+        let n_place = ((ends[1] - ends[0]) / step_hz).floor() as usize + 1;
+        let place_of = |f: f64| (((f - ends[0]) / step_hz) as usize).min(n_place - 1);
         let gain: Vec<Bins> = prediction.iter().map(|p| gains(p, RESOLUTION)).collect();
         let by_sensor = |(at, p): (&At, &Predicted)| p.channels.iter().map(|c| noise(forward, *at, *c)).collect();
         let noises: Vec<Vec<Vec<f64>>> = forward.records.iter().zip(prediction).map(by_sensor).collect();
         let (mut coherence, mut repeatable) = (Vec::new(), Vec::new());
-        let (mut sum, mut weight) = (PRIOR_BANDS, PRIOR_BANDS);
+        let (mut sum, mut weight) = (PRIOR_VALUES, PRIOR_VALUES);
         for s in 0..n_sensor {
             // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of bins, by band.
             let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
@@ -240,28 +256,40 @@ impl Spread {
                 }
             }
             let own: Vec<f64> = knots.iter().map(|[a, b]| (a / b).sqrt().max(LEAST_COHERENCE)).collect();
-            // Σ r a*, Σ |a|², Σ v |a|², by band.
-            let mut shared = vec![(C64::default(), 0.0, 0.0); n_band];
+            // Σ r a*, Σ |a|², Σ v |a|², by place: what arrives late turns quickly with frequency.
+            let mut shared = vec![(C64::default(), 0.0, 0.0); n_place];
             each(&mut |bin| {
                 let (added, c, w) = (bin.predicted - bin.base, interpolated(&own, bin.f_hz, ends), bin.weight);
-                let m = &mut shared[bin.band];
+                let m = &mut shared[place_of(bin.f_hz)];
                 m.0 += (bin.recorded - c * bin.predicted) * added.conj() * w;
                 m.1 += w * added.norm_sqr();
                 let strays = (1.0 - c * c) * bin.recorded.norm_sqr();
                 m.2 += w * w * added.norm_sqr() * (bin.noise + bin.passed_noise + strays);
             });
             let mut places = Vec::new();
-            for (b, (cross, square, strays)) in shared.into_iter().enumerate().filter(|(_, m)| m.1 > 0.0) {
+            for (k, (cross, square, strays)) in shared.into_iter().enumerate().filter(|(_, m)| m.1 > 0.0) {
                 let (delta, chance) = (cross / square, strays / (square * square));
                 let omega = (model * model / (model * model + chance)).powi(2);
                 sum += omega * (delta.norm_sqr() - chance) / (model * model);
                 weight += omega;
-                places.push([at_hz(b), delta.re, delta.im]);
+                places.push(Shared { f_hz: ends[0] + (k as f64 + 0.5) * step_hz, delta, chance });
             }
             coherence.push(own);
             repeatable.push(places);
         }
-        Self { level: (sum / weight).max(1.0).sqrt(), coherence, repeatable }
+        Self { level: (sum / weight).max(LEAST_LEVEL * LEAST_LEVEL).sqrt(), coherence, repeatable }
+    }
+
+    /// What all records share of the residual of output sensor `s`, mean over bands: frequency in Hz, real and imaginary part.
+    pub fn by_band(&self, s: usize) -> Vec<[f64; 3]> {
+        let places = &self.repeatable[s];
+        let frequencies_hz: Vec<f64> = places.iter().map(|p| p.f_hz).collect();
+        let mean = |band: Range<usize>| {
+            let n = band.len() as f64;
+            let sum: C64 = places[band.clone()].iter().map(|p| p.delta).sum();
+            [frequencies_hz[band].iter().sum::<f64>() / n, sum.re / n, sum.im / n]
+        };
+        bands(&frequencies_hz).into_iter().map(mean).collect()
     }
 
     /// Coherence of output sensor `s` at the knots: frequency in Hz, and c.
@@ -276,22 +304,21 @@ impl Spread {
 pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &Spread) -> [f64; 3] {
     let mut sums = [0.0; 3];
     let ends = band_hz(forward);
+    let half_hz = 0.5 * forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max);
     for (at, p) in forward.records.iter().zip(prediction) {
         let gain = gains(p, RESOLUTION);
         let input = noise(forward, *at, p.channels[0]);
         for (s, y) in p.measured.iter().enumerate() {
             let noise = noise(forward, *at, p.channels[s + 1]);
             let total: f64 = powers(y).iter().sum::<f64>().max(f64::MIN_POSITIVE);
-            let repeatable = |f: f64| {
-                let place = spread.repeatable[s].partition_point(|[at, ..]| *at < f);
-                spread.repeatable[s].get(place).map_or(C64::default(), |[_, re, im]| C64::new(*re, *im))
-            };
             for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
                 let c = interpolated(&spread.coherence[s], *f, ends);
-                let same = repeatable(*f) * (p.outputs[s][k] - p.base[k]);
+                let place = spread.repeatable[s].partition_point(|shared| shared.f_hz + half_hz < *f);
+                let shared = spread.repeatable[s].get(place).map_or(0.0, |s| s.delta.norm_sqr() - s.chance);
+                let same = shared * (p.outputs[s][k] - p.base[k]).norm_sqr();
                 let expected = noise[k] + gain[s][k].norm_sqr() * input[k];
-                sums[0] += same.norm_sqr() / total;
-                sums[1] += ((y[k] - c * p.outputs[s][k] - same).norm_sqr() - expected) / total;
+                sums[0] += same / total;
+                sums[1] += ((y[k] - c * p.outputs[s][k]).norm_sqr() - expected - same) / total;
                 sums[2] += y[k].norm_sqr() / total;
             }
         }
