@@ -7,12 +7,12 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Method {
-    /// A forward search with alarm thresholds from null twins; whatever is unexplained counts as noise of the sensors. Best tried on twins
-    /// that this program makes.
-    #[default]
+    /// A forward search with alarm thresholds from null twins; whatever is unexplained counts as noise of the sensors. For twins that this
+    /// program makes.
     Search,
     /// A competition of models by their evidence; the field may be partly incoherent, and the column may be wrong within
     /// `tolerances.model`. For measured records and those of other programs.
+    #[default]
     Competition,
 }
 
@@ -52,7 +52,7 @@ pub struct DiagnoseSettings {
 impl Default for DiagnoseSettings {
     fn default() -> Self {
         Self {
-            method: Method::Search,
+            method: Method::Competition,
             seed: 1,
             band_hz: [0.2, 9.5],
             null_twins: 60,

@@ -19,15 +19,13 @@ use std::collections::BTreeMap;
 
 /// Largest probability that nothing is missing beside which an effect is named.
 const NOTHING: f64 = 0.05;
-/// Least probability of the kinds that are named without alternatives.
+/// Least probability of each kind, over all models that have it, for it to be named without alternatives.
 const KNOWN: f64 = 0.9;
 /// Two-sided 95 % quantile of a normal number.
 const NORMAL: f64 = 1.96;
 /// Most rounds of recalibration, and the change of the column's level (ln) below which they end.
 const RECALIBRATIONS: usize = 4;
 const STILL: f64 = 0.1;
-/// Share of the slopes of the column that the linear-equivalent one may miss to stand in for it.
-const GOOD: f64 = 0.3;
 /// When a fit of these rounds ends.
 const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false };
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
@@ -62,7 +60,6 @@ pub fn diagnose(
     let fit = fitter.fit(Start::at(model, x), Stop::EXACT)?;
     let missed = fit.corrections.missed();
     progress.note(&format!("the linear-equivalent column misses {missed:.2} of what the column does"));
-    forward.rely_on_linear(missed < GOOD);
     let mut competition = Competition::new(fitter, fit, settings.max_effects);
     competition.run(progress)?;
     progress.note(&format!("{} replays", forward.replays()));
@@ -78,7 +75,7 @@ fn recalibrated<'a>(forward: &'a Forward<'a>, declared: &'a Declared) -> Result<
     let mut spread = Spread::estimated(forward, &prediction);
     for _ in 0..RECALIBRATIONS {
         let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
-        let fit = fitter.fit(Start::at(model.clone(), x), ROUGHLY)?;
+        let fit = fitter.fit_from_afar(Start::at(model.clone(), x), ROUGHLY)?;
         (x, prediction) = (fit.x, fit.prediction);
         let found = Spread::estimated(forward, &prediction);
         let is_still = (found.level / spread.level).ln().abs() < STILL;
@@ -104,7 +101,8 @@ impl Answer<'_, '_> {
         let best = self.competition.best();
         let is_named = !best.model.effects.is_empty() && nothing < NOTHING;
         let answer = if is_named { best } else { plain };
-        let is_alone = mass.get(&kinds(answer)).copied().unwrap_or(0.0) >= KNOWN;
+        let included = |kind: &&str| mass.iter().filter(|(set, _)| set.contains(kind)).map(|(_, p)| p).sum::<f64>();
+        let is_alone = kinds(answer).iter().all(|kind| included(kind) >= KNOWN);
         let rest = self.rest(answer);
         let verdict = match (is_named, is_alone, rest.verdict) {
             (true, true, _) => Verdict::Known,

@@ -23,6 +23,8 @@ const HEATS: usize = 4;
 const FINALS: usize = 3;
 /// Steps of the first fits.
 const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false };
+/// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
+const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
 /// ln of the odds against the best within which models are fitted to the end, and within which they are fitted again when what is expected
 /// of residuals has changed.
 const CLOSE: f64 = 10.0;
@@ -43,6 +45,8 @@ const STRAINED: f64 = 3.0;
 const STRONG: f64 = 1.1;
 /// Change of the column's level (ln) and of a coherence from which models are compared anew.
 const CHANGED: [f64; 2] = [0.1, 0.05];
+/// The same from which candidates are looked for anew.
+const OTHER: [f64; 2] = [0.7, 0.2];
 
 /// A candidate at one strength.
 struct Node {
@@ -184,6 +188,7 @@ impl<'a> Competition<'a> {
         if (found.level / now.level).ln().abs() < CHANGED[0] && moved < CHANGED[1] {
             return Ok(());
         }
+        let is_other = (found.level / now.level).ln().abs() > OTHER[0] || moved > OTHER[1];
         progress.note(&format!("level {:.2}, coherence {:.2?}", found.level, found.coherence));
         // What few elements leave wrong is taken out where it matters now.
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
@@ -201,7 +206,9 @@ impl<'a> Competition<'a> {
             }
         }
         // What was found beside other models may be found anew.
-        self.expanded.clear();
+        if is_other {
+            self.expanded.clear();
+        }
         Ok(())
     }
 
@@ -216,48 +223,11 @@ impl<'a> Competition<'a> {
             }
         };
         self.expanded.push(effects);
-        let mut points = vec![base.clone()];
+        let mut heats = self.heats(&self.fitter, &base, &base, false);
         if base.x[..base.model.declared.len()].iter().any(|z| z.abs() > STRAINED) {
-            points.push(self.relaxed(&base)?);
-        }
-        let mut heats: Vec<Fit<'a>> = Vec::new();
-        for point in &points {
-            let mut proposals = self.proposals(point);
-            proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
-            // A pair that holds what a single one holds is always as good before it is fitted.
-            let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
-            if std::env::var("DBG").is_ok() {
-                eprintln!(
-                    "DBG base {:?} {:.1?} lp {:.1}",
-                    point.model.effects.iter().map(|e| e.place()).collect::<Vec<_>>(),
-                    point.x,
-                    self.log_posterior(point)
-                );
-                for p in singles.iter().take(12).chain(pairs.iter().take(6)) {
-                    eprintln!(
-                        "DBG  {:?} {:.1}",
-                        p.parts.iter().map(|(e, x)| format!("{} {} {:.2?}", e.kind, e.place(), x)).collect::<Vec<_>>(),
-                        p.log_posterior
-                    );
-                }
-            }
-            for set in distinct(singles).into_iter().chain(distinct(pairs)) {
-                let mut all = base.model.effects.clone();
-                all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
-                let model = Model { declared: base.model.declared, effects: all };
-                let x = self.started(point, &model, &set);
-                heats.extend(self.fitter.fit(Start::near(point, model, x), HEAT));
-            }
-        }
-        if std::env::var("DBG").is_ok() {
-            for h in &heats {
-                eprintln!(
-                    "DBG heat {:?} {:.1} {:.1?}",
-                    h.model.effects.iter().map(|e| format!("{} {}", e.kind, e.place())).collect::<Vec<_>>(),
-                    self.log_posterior(h),
-                    &h.x[h.model.declared.len()..]
-                );
-            }
+            // Far from what the records say only the lowest modes tell where to go.
+            let lowest = self.fitter.of_lowest_modes();
+            heats.extend(self.heats(&lowest, &base, &Self::relaxed(&lowest, &base)?, true));
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
         let mut finals: Vec<Fit<'a>> = Vec::new();
@@ -278,6 +248,28 @@ impl<'a> Competition<'a> {
         }
         self.move_places(progress);
         Ok(())
+    }
+
+    /// First fits of the most promising candidates beside `point`, the model of `base`, by what `by` says of them.
+    fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, point: &Fit<'a>, is_far: bool) -> Vec<Fit<'a>> {
+        let mut proposals = self.proposals(by, point);
+        proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
+        // A pair that holds what a single one holds is always as good before it is fitted.
+        let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
+        let pairs = if is_far { Vec::new() } else { distinct(pairs) };
+        let fitted = |set: Proposal| {
+            let mut all = base.model.effects.clone();
+            all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
+            let model = Model { declared: base.model.declared, effects: all };
+            let x = Self::started(by, point, &model, &set);
+            let found = if is_far {
+                self.fitter.fit_from_afar(Start::at(model, x), FAR_HEAT)
+            } else {
+                self.fitter.fit(Start::near(point, model, x), HEAT)
+            };
+            found.ok()
+        };
+        distinct(singles).into_iter().chain(pairs).filter_map(fitted).collect()
     }
 
     /// Goes on with the fit `heat` and keeps it.
@@ -333,11 +325,11 @@ impl<'a> Competition<'a> {
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.
-    fn relaxed(&self, fit: &Fit<'a>) -> Result<Fit<'a>> {
+    fn relaxed(by: &Fitter<'a>, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let mut x = fit.x.clone();
         x[..fit.model.declared.len()].fill(0.0);
         let start = Start { corrections: fit.corrections.clone(), ..Start::at(fit.model.clone(), x) };
-        self.fitter.fit(start, Stop { steps: 0, ..Stop::CLOSE })
+        by.fit(start, Stop { steps: 0, ..Stop::CLOSE })
     }
 
     /// Keeps the better fit of each model.
@@ -359,7 +351,7 @@ impl<'a> Competition<'a> {
 
     /// Where to start a fit of `set` beside the point `base`: where the linear problem puts it, or on the way there, as far as the
     /// column agrees.
-    fn started(&self, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
+    fn started(by: &Fitter<'a>, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
         let at = |share: f64| {
             let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, to)| x + share * (to - x)).collect();
             set.parts.iter().for_each(|(_, start)| x.extend(start));
@@ -368,8 +360,8 @@ impl<'a> Competition<'a> {
         };
         let near = base.model.tables(&base.x);
         let cost = |x: &Vec<f64>| {
-            let found = self.fitter.predict_near(model, x, &near);
-            found.map_or(f64::INFINITY, |p| self.fitter.nll(&p) + Fitter::prior(model, x))
+            let found = by.predict_near(model, x, &near);
+            found.map_or(f64::INFINITY, |p| by.nll(&p) + Fitter::prior(model, x))
         };
         let all = [at(1.0), at(0.5), at(0.0)];
         let costs = [cost(&all[0]), cost(&all[1]), cost(&all[2])];
@@ -397,14 +389,14 @@ impl<'a> Competition<'a> {
     }
 
     /// All candidates beside `base`: singles, and pairs of the best.
-    fn proposals(&self, base: &Fit<'a>) -> Vec<Proposal> {
+    fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Proposal> {
         let lacking: Vec<Instance> =
             self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| is_one(e, i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && !Forward::is_interference(i);
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
         let mut proposals: Vec<Proposal> =
-            Self::nodes(&discrete, NODES[0]).into_iter().filter_map(|node| self.discrete(base, node)).collect();
-        let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| self.direction(base, n)).collect();
+            Self::nodes(&discrete, NODES[0]).into_iter().filter_map(|node| self.discrete(by, base, node)).collect();
+        let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| Self::direction(by, base, n)).collect();
         let mut all: Vec<Direction> = along(Self::nodes(&smooth, NODES[0]));
         // What is promising is looked at again where it may be: a strong effect is not linear.
         let further = self.further(base, &all);
@@ -418,22 +410,22 @@ impl<'a> Competition<'a> {
     }
 
     /// How the residuals of `base` change towards a node.
-    fn direction(&self, base: &Fit<'a>, node: Node) -> Option<Direction> {
+    fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
         let mut model = base.model.clone();
         model.effects.push(node.instance.clone());
         let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        let there = self.fitter.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
-        let change = combined(&self.fitter.rows(&there).0, &base.rows, 1.0, -1.0);
+        let there = by.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
+        let change = combined(&by.rows(&there).0, &base.rows, 1.0, -1.0);
         Some(Direction { node, change })
     }
 
     /// A candidate that is either there or not, or that changes the records themselves.
-    fn discrete(&self, base: &Fit<'a>, node: Node) -> Option<Proposal> {
+    fn discrete(&self, by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Proposal> {
         let mut model = base.model.clone();
         model.effects.push(node.instance.clone());
         let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        let there = self.fitter.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
-        let cost = self.fitter.nll(&there) + Fitter::prior(&base.model, &base.x);
+        let there = by.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
+        let cost = by.nll(&there) + Fitter::prior(&base.model, &base.x);
         let log_posterior = self.prior_of(&node.instance) - cost;
         Some(Proposal { parts: vec![(node.instance, node.at)], beside: base.x.clone(), log_posterior })
     }

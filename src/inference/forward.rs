@@ -15,7 +15,6 @@ use crate::error::{Error, Result};
 use crate::numerics::spectrum;
 use realfft::num_complex::Complex;
 use std::collections::HashMap;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use toml::Table;
 
@@ -58,7 +57,6 @@ pub struct Forward<'a> {
     /// Every record in order.
     pub records: Vec<At>,
     linear: Mutex<Arc<LinearEquivalent<'a>>>,
-    is_linear_good: AtomicBool,
     replay: &'a dyn Replay,
     names: Vec<String>,
     known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
@@ -83,18 +81,12 @@ impl<'a> Forward<'a> {
             records,
             groups,
             linear: Mutex::new(Arc::new(LinearEquivalent::new(problem, &settings)?)),
-            is_linear_good: AtomicBool::new(true),
             replay,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
             difference: Mutex::default(),
             replays: Mutex::default(),
         })
-    }
-
-    /// Says whether the linear-equivalent column may stand in for replays.
-    pub fn rely_on_linear(&self, is_good: bool) {
-        self.is_linear_good.store(is_good, Ordering::Relaxed);
     }
 
     /// The linear-equivalent column.
@@ -202,15 +194,11 @@ impl<'a> Forward<'a> {
         self.recorded(tables, &self.motions(tables)?)
     }
 
-    /// The same without a replay under `tables`: the replay under `near`, and what the linear-equivalent column makes of the difference;
-    /// where that is not good enough, a replay.
+    /// The same without a replay under `tables`: the replay under `near`, and what the linear-equivalent column makes of the difference.
     ///
     /// # Errors
     /// As [`Forward::predict`].
     pub fn predict_near(&self, tables: &[Table], near: &[Table]) -> Result<Prediction> {
-        if !self.is_linear_good.load(Ordering::Relaxed) {
-            return self.predict(tables);
-        }
         let (to, from) = (self.shaken(tables), self.shaken(near));
         let motions = self.motions(near)?;
         if to == from {

@@ -4,7 +4,7 @@ use super::algebra::{inverse, ln_determinant, solved};
 use super::convention;
 use super::forward::{Forward, Prediction};
 use super::parameters::Model;
-use super::weights::{Rows, Spread, Weights};
+use super::weights::{Rows, Spread, Weights, band_hz};
 use crate::error::Result;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
@@ -23,6 +23,8 @@ const TRUSTED: [f64; 2] = [0.3, 0.02];
 const AGREE: [f64; 2] = [0.5, 1.6];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
 const RADIUS: [f64; 3] = [1.0, 4.0, 0.02];
+/// Highest frequency of the first of a series of fits, in fundamental frequencies of the column.
+const FIRST_MODES: f64 = 1.5;
 /// Prior standard deviations within which what replays add to slopes is carried on.
 const NEAR: f64 = 1.0;
 /// Length of a step, prior standard deviations, below which what a replay does is as much the chance of its time steps as the step's.
@@ -87,6 +89,8 @@ pub struct Stop {
 impl Stop {
     /// At the most probable coordinates.
     pub const EXACT: Self = Self { steps: STEPS, gain: CONVERGED, is_exact: true };
+    /// Good enough to go on from.
+    const ON_THE_WAY: Self = Self { steps: 10, gain: 0.5, is_exact: false };
     /// Where the linear-equivalent column sees nothing to be gained any more.
     pub const CLOSE: Self = Self { steps: STEPS, gain: CONVERGED, is_exact: false };
 }
@@ -107,6 +111,8 @@ pub struct Fitter<'a> {
     reference: Arc<Prediction>,
     /// Weights by the channels that the sensors are taken to be recorded on.
     weights: Mutex<HashMap<Vec<usize>, Arc<Weights>>>,
+    /// The highest frequency that counts, Hz.
+    high_hz: f64,
 }
 
 /// Where a fit starts.
@@ -156,7 +162,7 @@ struct Point {
 impl<'a> Fitter<'a> {
     /// One that weighs residuals as `spread` says, transfer functions those of `reference`.
     pub fn new(forward: &'a Forward<'a>, spread: Spread, reference: Arc<Prediction>) -> Self {
-        Self { forward, spread, reference, weights: Mutex::default() }
+        Self { forward, spread, reference, weights: Mutex::default(), high_hz: f64::INFINITY }
     }
 
     /// What is expected of residuals.
@@ -201,7 +207,8 @@ impl<'a> Fitter<'a> {
         let mut known = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
         let is_reference = self.reference.first().is_some_and(|p| p.channels == channels);
         let of = if is_reference { &self.reference } else { prediction };
-        known.entry(channels).or_insert_with(|| Arc::new(Weights::new(self.forward, &self.spread, of))).clone()
+        let made = || Arc::new(Weights::new(self.forward, &self.spread, of).below(self.forward, self.high_hz));
+        known.entry(channels).or_insert_with(made).clone()
     }
 
     /// Residuals of a prediction, and −ln of the density where they are nothing.
@@ -273,6 +280,36 @@ impl<'a> Fitter<'a> {
     /// ½ of the squared distance from the means of the prior.
     pub fn prior(model: &Model<'_>, x: &[f64]) -> f64 {
         model.prior().iter().zip(x).map(|([mean, sd], x)| 0.5 * ((x - mean) / sd).powi(2)).sum()
+    }
+
+    /// Fits from `start`, first to the lowest mode of the column, then to one octave more at a time: where a model is far off, residuals
+    /// at high frequencies lead to the next cycle and not to the right one.
+    ///
+    /// Source: Bunks et al. (1995), doi 10.1190/1.1443880.
+    ///
+    /// # Errors
+    /// As [`Fitter::fit`].
+    pub fn fit_from_afar(&self, mut start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
+        let [_, high_hz] = band_hz(self.forward);
+        let mut below = self.of_lowest_modes();
+        while below.high_hz < high_hz {
+            let near = start.near.clone();
+            let found = below.fit(Start { near: near.clone(), ..Start::at(start.model, start.x) }, Stop::ON_THE_WAY)?;
+            start = Start { near, ..Start::at(found.model, found.x) };
+            below = below.below(2.0 * below.high_hz);
+        }
+        self.fit(start, stop)
+    }
+
+    /// One for which residuals up to the lowest mode of the column count alone.
+    pub fn of_lowest_modes(&self) -> Self {
+        let layers = &self.forward.problem.array.profile.layers;
+        let travel_s: f64 = layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
+        self.below(FIRST_MODES * 0.25 / travel_s)
+    }
+
+    fn below(&self, high_hz: f64) -> Self {
+        Self { high_hz, ..Self::new(self.forward, self.spread.clone(), self.reference.clone()) }
     }
 
     /// Fits from `start`: Gauss–Newton steps within a trust region.
@@ -519,7 +556,6 @@ pub fn normal_probability(z: f64) -> f64 {
 mod tests {
     use super::super::made_up::{DAMPING, Truth, Uniform, problem};
     use super::super::parameters::Declared;
-    use super::super::weights::band_hz;
     use super::*;
     use crate::diagnosis::{DiagnoseSettings, Problem};
     use crate::effects;

@@ -30,8 +30,6 @@ const USUAL_NOISE: f64 = 0.01;
 const PRIOR_VALUES: f64 = 10.0;
 /// Smallest coherence that is still told from none.
 const LEAST_COHERENCE: f64 = 0.05;
-/// Least of these errors over the declared one.
-const LEAST_LEVEL: f64 = 0.2;
 /// Least error of a column.
 const LEAST_ERROR: f64 = 1e-4;
 /// Smallest power, as a share of the largest of a record.
@@ -40,7 +38,7 @@ const FLOOR: f64 = 1e-12;
 /// What the records say of the field and of the column's error, beside one prediction of them.
 #[derive(Debug, Clone)]
 pub struct Spread {
-    /// Error of the column over the declared one.
+    /// Error of the column over the declared one, at least 1: what is not the same in all records is not in it.
     pub level: f64,
     /// Coherence of each output sensor with its prediction at the knots.
     pub coherence: Vec<Vec<f64>>,
@@ -91,6 +89,8 @@ struct Record {
     /// Coherence, `[sensor][bin]`.
     coherence: Vec<Vec<f64>>,
     bands: Vec<Vec<Band>>,
+    /// Bins that count.
+    n_bin: usize,
 }
 
 /// Residuals in units of what is expected of them.
@@ -277,7 +277,7 @@ impl Spread {
             coherence.push(own);
             repeatable.push(places);
         }
-        Self { level: (sum / weight).max(LEAST_LEVEL * LEAST_LEVEL).sqrt(), coherence, repeatable }
+        Self { level: (sum / weight).max(1.0).sqrt(), coherence, repeatable }
     }
 
     /// What all records share of the residual of output sensor `s`, mean over bands: frequency in Hz, real and imaginary part.
@@ -378,7 +378,16 @@ impl Weights {
         let constant = sigma.iter().map(Covariance::ln_determinant).sum::<f64>()
             + input.iter().map(|p| p.max(f64::MIN_POSITIVE).ln()).sum::<f64>();
         let bands = (0..n_sensor).map(|s| bands(f).into_iter().map(|b| band(s, b)).collect()).collect();
-        (Record { sigma, coherence, bands }, constant)
+        (Record { sigma, coherence, bands, n_bin: f.len() }, constant)
+    }
+
+    /// The same for frequencies up to `high_hz` alone: residuals above are taken to be nothing.
+    #[must_use]
+    pub fn below(mut self, forward: &Forward<'_>, high_hz: f64) -> Self {
+        for (record, at) in self.records.iter_mut().zip(&forward.records) {
+            record.n_bin = forward.frequencies_hz(*at).partition_point(|f| *f <= high_hz);
+        }
+        self
     }
 
     /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
@@ -397,6 +406,9 @@ impl Record {
                 *r = p.measured[s][k] - self.coherence[s][k] * p.outputs[s][k];
             }
             sigma.whiten(&mut residual);
+            if k >= self.n_bin {
+                residual.fill(C64::default());
+            }
             rows.extend(residual.iter().flat_map(|r| [SQRT_2 * r.re, SQRT_2 * r.im]));
         }
         for (s, bands) in self.bands.iter().enumerate() {
@@ -404,7 +416,7 @@ impl Record {
                 let power = |x: &[C64]| x[band.bins.clone()].iter().map(C64::norm_sqr).sum::<f64>();
                 let (recorded, predicted) = (power(&p.measured[s]), power(&p.outputs[s]) + band.noise);
                 let ln = 0.5 * (recorded.max(f64::MIN_POSITIVE) / predicted.max(f64::MIN_POSITIVE)).ln();
-                rows.push(band.weight * ln);
+                rows.push(if band.bins.end <= self.n_bin { band.weight * ln } else { 0.0 });
             }
         }
         rows

@@ -292,7 +292,7 @@ mod tests {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(name);
             let site = Manifest::load(&path, &[]).expect("a sound site").site;
             let sections = site.column();
-            let settings = DiagnoseSettings::default();
+            let settings = DiagnoseSettings { method: Method::Search, ..DiagnoseSettings::default() };
             let fine = refined(sections.clone(), &settings);
             let rough = roughened(sections.clone(), &settings);
             assert_eq!(rough.analysis, sections.analysis);

@@ -7,7 +7,7 @@ use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
 use super::problem::{Bench, READS};
 use super::{null_twins, records};
-use crate::diagnosis::{DiagnoseSettings, Diagnosis, Thresholds, recalibrated, thresholds};
+use crate::diagnosis::{DiagnoseSettings, Diagnosis, Method, Thresholds, recalibrated, thresholds};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, Tolerances};
 use crate::metrics::median;
@@ -26,7 +26,7 @@ pub struct TwinThresholds;
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 30);
+const TWIN: (&str, u32) = ("twin", 31);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -54,7 +54,7 @@ impl Stage for TwinThresholds {
     }
 
     fn version(&self) -> u32 {
-        20
+        21
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -66,10 +66,12 @@ impl Stage for TwinThresholds {
         let truth = stand.matrix.template(&stand.truth, stand.seed);
         let events = stand.record(&truth, &[Split::Train, Split::Validation])?;
         let bench = stand.bench(events)?;
-        null_twins::write(
-            task.output_dir(),
-            &thresholds(&bench.problem, Some(&bench), &stand.settings, task.progress())?,
-        )
+        let found = match stand.settings.method {
+            Method::Search => thresholds(&bench.problem, Some(&bench), &stand.settings, task.progress())?,
+            // Models compete by their evidence: there is no threshold.
+            Method::Competition => Thresholds::default(),
+        };
+        null_twins::write(task.output_dir(), &found)
     }
 }
 
@@ -83,7 +85,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        29
+        30
     }
 
     fn reads(&self) -> &'static [&'static str] {
