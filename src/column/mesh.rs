@@ -54,8 +54,7 @@ impl Mesh {
     pub fn new(profile: &Profile) -> Result<Self> {
         let cuts = cuts(profile);
         let stretches = stretches(profile, &cuts)?;
-        let travel_s: f64 = profile.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
-        let frequency_hz = 1.0 / (4.0 * travel_s);
+        let frequency_hz = 1.0 / (4.0 * profile.travel_time_s());
         let is_compliant = profile.features.base_impedance_ratio > 0.0;
         let n_node = cuts.len() + usize::from(is_compliant);
         let mut mesh = Self {

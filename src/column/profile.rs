@@ -115,6 +115,11 @@ impl Profile {
         self.layers.iter().map(|l| l.thickness_m).sum()
     }
 
+    /// Time that a shear wave takes from the base to the surface, s; four of them are the fundamental period of a column of one velocity.
+    pub fn travel_time_s(&self) -> f64 {
+        self.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum()
+    }
+
     /// Share of the elements that each layer is to have, as far as their number allows.
     pub fn shares(&self) -> Vec<f64> {
         let weights: Vec<f64> = self.layers.iter().map(|l| l.thickness_m * l.fineness).collect();

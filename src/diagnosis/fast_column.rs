@@ -139,7 +139,7 @@ impl FastColumn {
             damping: column.node_damping_kg_m2_s(),
             structure: column.structure(),
             depth_m: coarse.depth_m(),
-            travel_s: coarse.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum(),
+            travel_s: coarse.travel_time_s(),
             is_dispersive: true,
         })
     }

@@ -96,4 +96,4 @@ pub use settings::{DiagnoseSettings, Method};
 pub use simulated::Disturbance;
 pub use standing::{Standing, standing};
 pub use tuning::Tuning;
-pub use unknowns::{Nuisance, nuisance_tables, nuisances};
+pub use unknowns::{Nuisance, nuisance_tables, nuisances, ranges};

@@ -124,9 +124,9 @@ pub fn nuisance_tables(nuisances: &[Nuisance], deviations: &[f64]) -> Vec<toml::
 }
 
 /// Depths between which velocities move together: the layers, or ranges of equal travel time where there are too many.
-fn ranges(array: &Array) -> Vec<f64> {
+pub fn ranges(array: &Array) -> Vec<f64> {
     let layers = &array.profile.layers;
-    let travel_s: f64 = layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
+    let travel_s = array.profile.travel_time_s();
     let (mut depth_m, mut passed_s) = (0.0, 0.0);
     let mut cuts = vec![0.0];
     for (i, layer) in layers.iter().enumerate() {

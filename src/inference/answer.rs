@@ -4,7 +4,7 @@ use super::competition::Competition;
 use super::convention::conventions;
 use super::forward::{Forward, Prediction};
 use super::parameters::{Declared, Model};
-use super::posterior::{Fit, Fitter, Start, Stop};
+use super::posterior::{Fit, Fitter, STRAINED, Start, Stop};
 use super::weights::{Spread, band_hz, residual_powers};
 use crate::diagnosis::{
     Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Remainder, Replay, Rest, RestVerdict,
@@ -30,8 +30,6 @@ const STILL: f64 = 0.1;
 const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false };
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
 const UNNAMED: f64 = 2.0;
-/// Prior standard deviations beyond which a declared value is out of its tolerance.
-const STRAINED: f64 = 3.0;
 
 /// Names what the declared model lacks.
 ///
@@ -75,7 +73,7 @@ fn recalibrated<'a>(forward: &'a Forward<'a>, declared: &'a Declared) -> Result<
     let mut spread = Spread::estimated(forward, &prediction);
     for _ in 0..RECALIBRATIONS {
         let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
-        let fit = fitter.fit_from_afar(Start::at(model.clone(), x), ROUGHLY)?;
+        let fit = fitter.fit_from_afar(model.clone(), x, ROUGHLY)?;
         (x, prediction) = (fit.x, fit.prediction);
         let found = Spread::estimated(forward, &prediction);
         let is_still = (found.level / spread.level).ln().abs() < STILL;

@@ -7,7 +7,7 @@
 //! column's error is read off beside the best model, and all models are compared by that.
 
 use super::algebra;
-use super::forward::Forward;
+use super::forward::{Forward, Prediction};
 use super::parameters::{Model, prior_of};
 use super::posterior::{Fit, Fitter, Start, Stop, combined, normal};
 use super::weights::{Rows, Spread, Weights};
@@ -40,8 +40,7 @@ const NODES: [f64; 2] = [0.6, 1.8];
 const FARTHEST: f64 = 1.4;
 /// Prior probability of one effect more.
 const ONE_MORE: f64 = 0.25;
-/// Prior standard deviations beyond which tolerances stand in for an effect, and level of the column's error from which one is missing.
-const STRAINED: f64 = 3.0;
+/// Level of the column's error from which an effect is missing.
 const STRONG: f64 = 1.1;
 /// Change of the column's level (ln) and of a coherence from which models are compared anew.
 const CHANGED: [f64; 2] = [0.1, 0.05];
@@ -201,7 +200,7 @@ impl<'a> Competition<'a> {
         let lowest = costs.iter().copied().fold(f64::INFINITY, f64::min);
         for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
             if i == 0 || cost < lowest + FAR || is_same_set(&fit.model.effects, &own) {
-                let start = Start { corrections: corrections.clone(), ..Start::at(fit.model, fit.x) };
+                let start = Start::corrected(fit.model, fit.x, &corrections);
                 self.fits.push(self.fitter.fit(start, Stop::CLOSE)?);
             }
         }
@@ -224,25 +223,28 @@ impl<'a> Competition<'a> {
         };
         self.expanded.push(effects);
         let mut heats = self.heats(&self.fitter, &base, &base, false);
-        if base.x[..base.model.declared.len()].iter().any(|z| z.abs() > STRAINED) {
+        if base.is_strained() {
             // Far from what the records say only the lowest modes tell where to go.
             let lowest = self.fitter.of_lowest_modes();
             heats.extend(self.heats(&lowest, &base, &Self::relaxed(&lowest, &base)?, true));
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
         let mut finals: Vec<Fit<'a>> = Vec::new();
+        let is_new = |finals: &[Fit<'a>], heat: &Fit<'a>| {
+            !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
+        };
         for heat in &heats {
-            if finals.len() < FINALS && !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects)) {
+            if finals.len() < FINALS && is_new(&finals, heat) {
                 finals.push(heat.clone());
             }
         }
         // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
         let least = heats.into_iter().map(|h| (self.supported(&h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
-        finals.extend(
-            least
-                .map(|(_, heat)| heat)
-                .filter(|h| !finals.iter().any(|f| is_same_set(&f.model.effects, &h.model.effects))),
-        );
+        if let Some((_, heat)) = least
+            && is_new(&finals, &heat)
+        {
+            finals.push(heat);
+        }
         for heat in finals {
             self.finish(heat, progress);
         }
@@ -263,7 +265,7 @@ impl<'a> Competition<'a> {
             let model = Model { declared: base.model.declared, effects: all };
             let x = Self::started(by, point, &model, &set);
             let found = if is_far {
-                self.fitter.fit_from_afar(Start::at(model, x), FAR_HEAT)
+                self.fitter.fit_from_afar(model, x, FAR_HEAT)
             } else {
                 self.fitter.fit(Start::near(point, model, x), HEAT)
             };
@@ -320,15 +322,14 @@ impl<'a> Competition<'a> {
             x.extend(index.map_or_else(|| effect.start(), own));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
-        let start = Start { corrections: best.corrections.clone(), ..Start::at(model, x) };
-        self.fitter.fit(start, Stop::CLOSE)
+        self.fitter.fit(Start::corrected(model, x, &best.corrections), Stop::CLOSE)
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.
     fn relaxed(by: &Fitter<'a>, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let mut x = fit.x.clone();
         x[..fit.model.declared.len()].fill(0.0);
-        let start = Start { corrections: fit.corrections.clone(), ..Start::at(fit.model.clone(), x) };
+        let start = Start::corrected(fit.model.clone(), x, &fit.corrections);
         by.fit(start, Stop { steps: 0, ..Stop::CLOSE })
     }
 
@@ -409,22 +410,24 @@ impl<'a> Competition<'a> {
         proposals
     }
 
-    /// How the residuals of `base` change towards a node.
-    fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
+    /// What the model of `base` predicts with a node besides.
+    fn predicted(by: &Fitter<'a>, base: &Fit<'a>, node: &Node) -> Option<Arc<Prediction>> {
         let mut model = base.model.clone();
         model.effects.push(node.instance.clone());
         let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        let there = by.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
+        by.predict_near(&model, &x, &base.model.tables(&base.x)).ok()
+    }
+
+    /// How the residuals of `base` change towards a node.
+    fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
+        let there = Self::predicted(by, base, &node)?;
         let change = combined(&by.rows(&there).0, &base.rows, 1.0, -1.0);
         Some(Direction { node, change })
     }
 
     /// A candidate that is either there or not, or that changes the records themselves.
     fn discrete(&self, by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Proposal> {
-        let mut model = base.model.clone();
-        model.effects.push(node.instance.clone());
-        let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        let there = by.predict_near(&model, &x, &base.model.tables(&base.x)).ok()?;
+        let there = Self::predicted(by, base, &node)?;
         let cost = by.nll(&there) + Fitter::prior(&base.model, &base.x);
         let log_posterior = self.prior_of(&node.instance) - cost;
         Some(Proposal { parts: vec![(node.instance, node.at)], beside: base.x.clone(), log_posterior })
@@ -433,8 +436,7 @@ impl<'a> Competition<'a> {
     /// Further nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point.
     fn further(&self, base: &Fit<'a>, directions: &[Direction]) -> Vec<Node> {
         // Where something strong is missing, what is linear beside a model that lacks it says little of places.
-        let strained = base.x[..base.model.declared.len()].iter().any(|z| z.abs() > STRAINED);
-        let is_strong = self.fitter.spread().level > STRONG || strained;
+        let is_strong = self.fitter.spread().level > STRONG || base.is_strained();
         let [places, most] = if is_strong { [usize::MAX; 2] } else { [PLACES, SHORTLIST] };
         let mut forms: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();

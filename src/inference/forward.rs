@@ -154,7 +154,7 @@ impl<'a> Forward<'a> {
     /// Motions at the output sensors under the effects that move the column, as spectra.
     fn motions(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
         let shaken = self.shaken(tables);
-        let key: String = shaken.iter().map(|t| format!("{t};")).collect();
+        let key = key(&shaken);
         if let Some(known) = lock(&self.known).get(&key) {
             return Ok(known.clone());
         }
@@ -213,8 +213,7 @@ impl<'a> Forward<'a> {
 
     /// What every sensor records of `motions`.
     fn recorded(&self, tables: &[Table], motions: &[Bins]) -> Result<Prediction> {
-        let all: Vec<Table> = self.problem.declared.iter().chain(tables).cloned().collect();
-        let built = effects::build_all(&all)?;
+        let built = built(self.problem, tables)?;
         let sources: Vec<usize> = (0..self.names.len()).map(|s| self.source(&built, s)).collect();
         let mut prediction = Vec::with_capacity(self.records.len());
         let mut first = 0;
@@ -342,6 +341,20 @@ fn add(to: &mut [Bins], from: &[Bins], factor: f64) {
     }
 }
 
-fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+/// What is declared, and `tables` on top of it.
+///
+/// # Errors
+/// When an effect cannot be built.
+pub fn built(problem: &Problem, tables: &[Table]) -> Result<Vec<Box<dyn Effect>>> {
+    let all: Vec<Table> = problem.declared.iter().chain(tables).cloned().collect();
+    effects::build_all(&all)
+}
+
+/// What tells one state of the column from another.
+pub fn key(tables: &[Table]) -> String {
+    tables.iter().map(|t| format!("{t};")).collect()
+}
+
+pub fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

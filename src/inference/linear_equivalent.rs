@@ -1,12 +1,11 @@
 //! What a change of the soil does to motions, by the linear-equivalent column: a surrogate for the difference of two replays.
 
-use super::forward::Bins;
+use super::forward::{Bins, built, key, lock};
 use crate::diagnosis::responses::{Responses, Scene};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem};
-use crate::effects;
 use crate::error::Result;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use toml::Table;
 
 /// States of the column that are remembered.
@@ -53,15 +52,13 @@ impl<'a> LinearEquivalent<'a> {
     /// # Errors
     /// When the column cannot be built.
     pub fn tuned(&self, tables: &[Table], replays: &Motions) -> Result<Self> {
-        let all: Vec<Table> = self.scene.problem.declared.iter().chain(tables).cloned().collect();
         let mut scene = self.scene.clone();
-        scene.tune(&effects::build_all(&all)?, replays)?;
+        scene.tune(&built(scene.problem, tables)?, replays)?;
         Self::of(scene)
     }
 
     fn of(scene: Scene<'a>) -> Result<Self> {
-        let built = effects::build_all(&scene.problem.declared)?;
-        let declared = scene.responses(&built, &(0..scene.groups.len()).collect::<Vec<_>>(), None)?;
+        let declared = scene.responses(&built(scene.problem, &[])?, &all_groups(&scene), None)?;
         Ok(Self { scene, declared, known: Mutex::default() })
     }
 
@@ -70,23 +67,25 @@ impl<'a> LinearEquivalent<'a> {
     /// # Errors
     /// When the column cannot be built.
     pub fn motions(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
-        let key: String = tables.iter().map(|t| format!("{t};")).collect();
-        let lock = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(known) = lock().get(&key) {
+        let key = key(tables);
+        if let Some(known) = lock(&self.known).get(&key) {
             return Ok(known.clone());
         }
-        let all: Vec<Table> = self.scene.problem.declared.iter().chain(tables).cloned().collect();
-        let groups: Vec<usize> = (0..self.scene.groups.len()).collect();
-        let found = self.scene.responses(&effects::build_all(&all)?, &groups, Some(&self.declared))?;
+        let effects = built(self.scene.problem, tables)?;
+        let found = self.scene.responses(&effects, &all_groups(&self.scene), Some(&self.declared))?;
         let n = self.scene.problem.array.outputs.len().max(1);
         let by_sensor = |motion: &[_]| (0..n).map(|s| motion.iter().skip(s).step_by(n).copied().collect()).collect();
         let motions: Vec<Bins> = found.records.iter().flatten().map(|r| by_sensor(&r.motion)).collect();
         let motions = Arc::new(motions);
-        let mut known = lock();
+        let mut known = lock(&self.known);
         if known.len() >= REMEMBERED {
             known.clear();
         }
         known.insert(key, motions.clone());
         Ok(motions)
     }
+}
+
+fn all_groups(scene: &Scene<'_>) -> Vec<usize> {
+    (0..scene.groups.len()).collect()
 }

@@ -11,7 +11,7 @@
 
 use super::convention::Slope;
 use crate::column::{Analysis, Column};
-use crate::diagnosis::Problem;
+use crate::diagnosis::{Problem, ranges};
 use crate::effects::{self, Array, Class, Free, Instance};
 use crate::error::{Error, Result};
 use faer::{Mat, Side};
@@ -31,8 +31,6 @@ pub const DAMPING_RATIO: f64 = 0.003;
 pub const WIDE: f64 = 1.5;
 /// Least share of a declared damping.
 const LEAST_DAMPING: f64 = 0.05;
-/// Most depth ranges with a velocity of their own.
-const MAX_RANGES: usize = 20;
 /// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
 const MODES: [usize; 2] = [9, 3];
 /// Farthest an unknown may go from the mean of its prior, standard deviations.
@@ -261,27 +259,10 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
 
 /// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared.
 fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
-    let travel_s: f64 = array.profile.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
-    let ratio = Column::new(&array.profile, &Analysis::default())?.small_strain_damping_ratio(0.25 / travel_s);
+    let fundamental_hz = 0.25 / array.profile.travel_time_s();
+    let ratio = Column::new(&array.profile, &Analysis::default())?.small_strain_damping_ratio(fundamental_hz);
     let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
     Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", &[], damping_ln)? })
-}
-
-/// Depths between which velocities move together: the layers, or ranges of equal travel time where there are too many.
-fn ranges(array: &Array) -> Vec<f64> {
-    let layers = &array.profile.layers;
-    let travel_s: f64 = layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
-    let (mut depth_m, mut passed_s) = (0.0, 0.0);
-    let mut cuts = vec![0.0];
-    for (i, layer) in layers.iter().enumerate() {
-        depth_m += layer.thickness_m;
-        passed_s += layer.thickness_m / layer.vs_m_s;
-        let is_due = passed_s >= travel_s * cuts.len() as f64 / MAX_RANGES as f64;
-        if layers.len() <= MAX_RANGES || is_due || i + 1 == layers.len() {
-            cuts.push(depth_m);
-        }
-    }
-    cuts
 }
 
 /// Depth modes of ln Vs: between every two sensors polynomials of the range's place in order, of as low a degree as the array

@@ -2,7 +2,7 @@
 
 use super::algebra::{inverse, ln_determinant, solved};
 use super::convention;
-use super::forward::{Forward, Prediction};
+use super::forward::{Forward, Prediction, lock};
 use super::parameters::Model;
 use super::weights::{Rows, Spread, Weights, band_hz};
 use crate::error::Result;
@@ -10,7 +10,7 @@ use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rayon::prelude::*;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use toml::Table;
 
 /// Most steps of a fit.
@@ -25,6 +25,8 @@ const AGREE: [f64; 2] = [0.5, 1.6];
 const RADIUS: [f64; 3] = [1.0, 4.0, 0.02];
 /// Highest frequency of the first of a series of fits, in fundamental frequencies of the column.
 const FIRST_MODES: f64 = 1.5;
+/// Prior standard deviations beyond which a declared value is out of its tolerance.
+pub const STRAINED: f64 = 3.0;
 /// Prior standard deviations within which what replays add to slopes is carried on.
 const NEAR: f64 = 1.0;
 /// Length of a step, prior standard deviations, below which what a replay does is as much the chance of its time steps as the step's.
@@ -96,7 +98,7 @@ impl Stop {
 }
 
 /// Where slopes come from, from the quickest to the best.
-#[derive(Debug, Clone, Copy, PartialEq, PartialOrd)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 enum Source {
     Carried,
     Surrogate,
@@ -136,12 +138,17 @@ impl<'a> Start<'a> {
         Self { model, x, slopes: Vec::new(), near: None, corrections: Arc::default() }
     }
 
+    /// From `x`, with slopes of the linear-equivalent column and what is known of what replays add to them.
+    pub fn corrected(model: Model<'a>, x: Vec<f64>, corrections: &Arc<Corrections>) -> Self {
+        Self { corrections: corrections.clone(), ..Self::at(model, x) }
+    }
+
     /// From `x` by what is known beside the fit `base`, to which the model adds effects; everything by the linear-equivalent column from
     /// there.
     pub fn near(base: &Fit<'a>, model: Model<'a>, x: Vec<f64>) -> Self {
         let near = Some(base.model.tables(&base.x));
         let slopes = base.slopes.iter().cloned().map(Some).collect();
-        Self { near, slopes, corrections: base.corrections.clone(), ..Self::at(model, x) }
+        Self { near, slopes, ..Self::corrected(model, x, &base.corrections) }
     }
 
     /// From the fit `found`, with its slopes.
@@ -204,7 +211,7 @@ impl<'a> Fitter<'a> {
 
     fn weights(&self, prediction: &Prediction) -> Arc<Weights> {
         let channels = prediction.first().map(|p| p.channels.clone()).unwrap_or_default();
-        let mut known = self.weights.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut known = lock(&self.weights);
         let is_reference = self.reference.first().is_some_and(|p| p.channels == channels);
         let of = if is_reference { &self.reference } else { prediction };
         let made = || Arc::new(Weights::new(self.forward, &self.spread, of).below(self.forward, self.high_hz));
@@ -248,6 +255,37 @@ impl<'a> Fitter<'a> {
         (0..model.len()).map(of).collect()
     }
 
+    /// Slopes as far as they are `known`; others by the linear-equivalent column from the replay under `near`, or at `at` itself, and what
+    /// replays are known to add to them nearby.
+    fn quick_slopes(
+        &self,
+        model: &Model<'a>,
+        at: &Point,
+        known: &[Option<Arc<Rows>>],
+        near: Option<&[Table]>,
+        corrections: &Corrections,
+    ) -> Vec<Arc<Rows>> {
+        let own = model.tables(&at.x);
+        let mut slopes = self.all_slopes(model, at, known, Some(near.unwrap_or(&own)));
+        for (i, correction) in corrections.near(&at.x).iter().enumerate().filter(|(i, _)| model.is_replayed(*i)) {
+            if known.get(i).is_none_or(Option::is_none) {
+                slopes[i] = Arc::new(combined(&slopes[i], correction, 1.0, 1.0));
+            }
+        }
+        slopes
+    }
+
+    /// Slopes by replays, and what they add to those of the linear-equivalent column.
+    fn replayed_slopes(&self, model: &Model<'a>, at: &Point, near: Option<&[Table]>) -> (Vec<Arc<Rows>>, Corrections) {
+        let quick = self.quick_slopes(model, at, &[], near, &Corrections::default());
+        let replayed = self.all_slopes(model, at, &[], None);
+        let n = model.declared.len();
+        let slopes: Vec<Rows> = replayed.iter().zip(&quick).take(n).map(|(a, b)| combined(a, b, 1.0, -1.0)).collect();
+        let whole = replayed.iter().take(n).map(|s| square(s)).sum::<f64>().sqrt();
+        let share = slopes.iter().map(square).sum::<f64>().sqrt() / whole.max(f64::MIN_POSITIVE);
+        (replayed, Corrections { at: at.x[..n].to_vec(), slopes, share })
+    }
+
     /// Corrects slopes by what a step did, along it alone.
     ///
     /// ```text
@@ -282,30 +320,27 @@ impl<'a> Fitter<'a> {
         model.prior().iter().zip(x).map(|([mean, sd], x)| 0.5 * ((x - mean) / sd).powi(2)).sum()
     }
 
-    /// Fits from `start`, first to the lowest mode of the column, then to one octave more at a time: where a model is far off, residuals
+    /// Fits from `x`, first to the lowest mode of the column, then to one octave more at a time: where a model is far off, residuals
     /// at high frequencies lead to the next cycle and not to the right one.
     ///
     /// Source: Bunks et al. (1995), doi 10.1190/1.1443880.
     ///
     /// # Errors
     /// As [`Fitter::fit`].
-    pub fn fit_from_afar(&self, mut start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
+    pub fn fit_from_afar(&self, mut model: Model<'a>, mut x: Vec<f64>, stop: Stop) -> Result<Fit<'a>> {
         let [_, high_hz] = band_hz(self.forward);
         let mut below = self.of_lowest_modes();
         while below.high_hz < high_hz {
-            let near = start.near.clone();
-            let found = below.fit(Start { near: near.clone(), ..Start::at(start.model, start.x) }, Stop::ON_THE_WAY)?;
-            start = Start { near, ..Start::at(found.model, found.x) };
+            let found = below.fit(Start::at(model, x), Stop::ON_THE_WAY)?;
+            (model, x) = (found.model, found.x);
             below = below.below(2.0 * below.high_hz);
         }
-        self.fit(start, stop)
+        self.fit(Start::at(model, x), stop)
     }
 
     /// One for which residuals up to the lowest mode of the column count alone.
     pub fn of_lowest_modes(&self) -> Self {
-        let layers = &self.forward.problem.array.profile.layers;
-        let travel_s: f64 = layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum();
-        self.below(FIRST_MODES * 0.25 / travel_s)
+        self.below(FIRST_MODES * 0.25 / self.forward.problem.array.profile.travel_time_s())
     }
 
     fn below(&self, high_hz: f64) -> Self {
@@ -319,33 +354,10 @@ impl<'a> Fitter<'a> {
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
         let Start { model, x, slopes: known, near, mut corrections } = start;
         let mut at = self.point(&model, x, near.as_deref())?;
-        // Slopes by the linear-equivalent column are differences from where the fit stands.
-        let slopes_of =
-            |at: &Point, known: &[Option<Arc<Rows>>], source: Source, corrections: &mut Arc<Corrections>| {
-                let own = model.tables(&at.x);
-                let mut quick = self.all_slopes(&model, at, known, Some(near.as_deref().unwrap_or(&own)));
-                if source == Source::Replayed {
-                    let replayed = self.all_slopes(&model, at, &[], None);
-                    let pairs = replayed.iter().zip(&quick).take(model.declared.len());
-                    let slopes: Vec<Rows> = pairs.map(|(a, b)| combined(a, b, 1.0, -1.0)).collect();
-                    let size = |all: &mut dyn Iterator<Item = &Rows>| all.map(square).sum::<f64>().sqrt();
-                    let whole = size(&mut replayed.iter().take(model.declared.len()).map(AsRef::as_ref));
-                    let share = size(&mut slopes.iter()) / whole.max(f64::MIN_POSITIVE);
-                    *corrections = Arc::new(Corrections { at: at.x[..model.declared.len()].to_vec(), slopes, share });
-                    return replayed;
-                }
-                for (i, correction) in corrections.near(&at.x).iter().enumerate().filter(|(i, _)| model.is_replayed(*i))
-                {
-                    if known.get(i).is_none_or(Option::is_none) {
-                        quick[i] = Arc::new(combined(&quick[i], correction, 1.0, 1.0));
-                    }
-                }
-                quick
-            };
         let is_carried = known.iter().any(Option::is_some);
-        let (mut source, mut best) =
-            if is_carried { (Source::Carried, Source::Surrogate) } else { (Source::Surrogate, Source::Surrogate) };
-        let mut slopes = slopes_of(&at, &known, source, &mut corrections);
+        let mut source = if is_carried { Source::Carried } else { Source::Surrogate };
+        let mut best = Source::Surrogate;
+        let mut slopes = self.quick_slopes(&model, &at, &known, near.as_deref(), &corrections);
         let mut radius = RADIUS[0];
         for _ in 0..stop.steps {
             let g = normal(&slopes, &at.rows);
@@ -377,10 +389,16 @@ impl<'a> Fitter<'a> {
                 let is_other = !(AGREE[0]..AGREE[1]).contains(&ratio);
                 let known: Vec<Option<Arc<Rows>>> = slopes.iter().cloned().map(Some).collect();
                 source = if is_other { Source::Surrogate } else { Source::Carried };
-                slopes = slopes_of(&at, if is_other { &[] } else { &known }, source, &mut corrections);
+                let known: &[_] = if is_other { &[] } else { &known };
+                slopes = self.quick_slopes(&model, &at, known, near.as_deref(), &corrections);
             } else if let Some(better) = better {
                 (source, best) = (better, better);
-                slopes = slopes_of(&at, &[], source, &mut corrections);
+                if source == Source::Replayed {
+                    let (replayed, told) = self.replayed_slopes(&model, &at, near.as_deref());
+                    (slopes, corrections) = (replayed, Arc::new(told));
+                } else {
+                    slopes = self.quick_slopes(&model, &at, &[], near.as_deref(), &corrections);
+                }
             } else if is_at_end {
                 break;
             }
@@ -399,6 +417,11 @@ impl Point {
 }
 
 impl Fit<'_> {
+    /// Whether declared values are farther off than their tolerances allow: they stand in for an effect.
+    pub fn is_strained(&self) -> bool {
+        self.x[..self.model.declared.len()].iter().any(|z| z.abs() > STRAINED)
+    }
+
     /// Posterior covariance of the coordinates by the curvature of the cost.
     pub fn covariance(&self) -> Option<Mat<f64>> {
         inverse(&information(&self.model, &self.g))

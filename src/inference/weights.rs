@@ -13,10 +13,9 @@ type C64 = Complex<f64>;
 
 /// Bands to an octave over which moments are taken.
 const AN_OCTAVE: f64 = 6.0;
-/// Octaves over which what the column has wrong is one complex number.
-///
-/// Source: Bayless and Abrahamson (2019), doi 10.1785/0120180240: site terms of Fourier amplitudes keep a correlation of one half over
-/// about that ratio of frequencies.
+/// Octaves over which what the column has wrong is one complex number. That neighbouring frequencies err alike is known of all models of
+/// Fourier amplitudes (Bayless and Abrahamson, 2019, doi 10.1785/0120180238); the width is a choice that lets nothing be named in records
+/// that another program made of the same column.
 const ALIKE_OCTAVES: f64 = 0.5;
 /// Least bins of a band.
 const LEAST_BINS: usize = 3;
@@ -164,6 +163,11 @@ pub fn band_hz(forward: &Forward<'_>) -> [f64; 2] {
     })
 }
 
+/// Distance of the bins of the shortest record, Hz.
+fn resolution_hz(forward: &Forward<'_>) -> f64 {
+    forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max)
+}
+
 /// Expected |noise|² of each bin of a channel: what the record shows of it before its event; or white, a share of the RMS within the
 /// band and nowhere more than what was recorded there, for processing may have emptied part of the band.
 fn noise(forward: &Forward<'_>, at: At, channel: usize) -> Vec<f64> {
@@ -210,7 +214,7 @@ impl Spread {
         let at_hz = |b: usize| ends[0] * (ends[1] / ends[0]).powf((b as f64 + 0.5) / n_band as f64);
         let band_of = |f: f64| (((f / ends[0]).log2() * AN_OCTAVE) as usize).min(n_band - 1);
         // As narrow as the shortest record tells apart.
-        let step_hz = forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max);
+        let step_hz = resolution_hz(forward);
         let n_place = ((ends[1] - ends[0]) / step_hz).floor() as usize + 1;
         let place_of = |f: f64| (((f - ends[0]) / step_hz) as usize).min(n_place - 1);
         let gain: Vec<Bins> = prediction.iter().map(|p| gains(p, RESOLUTION)).collect();
@@ -304,7 +308,7 @@ impl Spread {
 pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &Spread) -> [f64; 3] {
     let mut sums = [0.0; 3];
     let ends = band_hz(forward);
-    let half_hz = 0.5 * forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max);
+    let half_hz = 0.5 * resolution_hz(forward);
     for (at, p) in forward.records.iter().zip(prediction) {
         let gain = gains(p, RESOLUTION);
         let input = noise(forward, *at, p.channels[0]);
