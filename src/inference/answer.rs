@@ -19,7 +19,7 @@ use std::collections::BTreeMap;
 
 /// Largest probability that nothing is missing beside which an effect is named.
 const NOTHING: f64 = 0.05;
-/// Least probability of each kind, over all models that have it, for it to be named without alternatives.
+/// Least probability of a kind, over all models that have it, for it to be named.
 const KNOWN: f64 = 0.9;
 /// Two-sided 95 % quantile of a normal number.
 const NORMAL: f64 = 1.96;
@@ -49,15 +49,13 @@ pub fn diagnose(
     // What few elements leave wrong is taken out where it matters.
     let tables = start.0.tables(&start.1);
     forward.anchor(&tables)?;
-    let declared = plain.clone().with_conventions(conventions(&forward, &tables)?);
+    let declared = plain.clone().with_conventions(conventions(&forward, settings, &tables)?);
     let model = Model { declared: &declared, effects: Vec::new() };
     let mut x = start.1;
     x.resize(model.len(), 0.0);
     let prediction = std::sync::Arc::new(forward.predict(&tables)?);
     let fitter = Fitter::new(&forward, spread, prediction);
     let fit = fitter.fit(Start::at(model, x), Stop::EXACT)?;
-    let missed = fit.corrections.missed();
-    progress.note(&format!("the linear-equivalent column misses {missed:.2} of what the column does"));
     let mut competition = Competition::new(fitter, fit, settings.max_effects);
     competition.run(progress)?;
     progress.note(&format!("{} replays", forward.replays()));
@@ -71,9 +69,10 @@ fn recalibrated<'a>(forward: &'a Forward<'a>, declared: &'a Declared) -> Result<
     let mut x = vec![0.0; model.len()];
     let mut prediction = std::sync::Arc::new(forward.predict(&[])?);
     let mut spread = Spread::estimated(forward, &prediction);
-    for _ in 0..RECALIBRATIONS {
+    for round in 0..RECALIBRATIONS {
         let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
-        let fit = fitter.fit_from_afar(model.clone(), x, ROUGHLY)?;
+        let start = Start::at(model.clone(), x);
+        let fit = if round == 0 { fitter.fit_from_afar(start, ROUGHLY)? } else { fitter.fit(start, ROUGHLY)? };
         (x, prediction) = (fit.x, fit.prediction);
         let found = Spread::estimated(forward, &prediction);
         let is_still = (found.level / spread.level).ln().abs() < STILL;
@@ -91,16 +90,26 @@ struct Answer<'c, 'a> {
     problem: &'c Problem,
 }
 
-impl Answer<'_, '_> {
+impl<'a> Answer<'_, 'a> {
     fn assembled(&self) -> Diagnosis {
         let plain = &self.competition.fits[0];
         let mass = self.masses();
         let nothing = mass.get(&Vec::new()).copied().unwrap_or(0.0);
         let best = self.competition.best();
-        let is_named = !best.model.effects.is_empty() && nothing < NOTHING;
-        let answer = if is_named { best } else { plain };
+        let is_missing = !best.model.effects.is_empty() && nothing < NOTHING;
         let included = |kind: &&str| mass.iter().filter(|(set, _)| set.contains(kind)).map(|(_, p)| p).sum::<f64>();
-        let is_alone = kinds(answer).iter().all(|kind| included(kind) >= KNOWN);
+        // What may be there besides, and may not, is not claimed.
+        let is_sure = |fit: &&Fit<'a>| {
+            let kinds = kinds(fit);
+            let own = mass.get(&kinds).copied().unwrap_or(0.0);
+            !kinds.is_empty() && own >= NOTHING && kinds.iter().all(|kind| included(kind) >= KNOWN)
+        };
+        let more = |a: &&Fit<'a>, b: &&Fit<'a>| {
+            self.competition.log_posterior(a).total_cmp(&self.competition.log_posterior(b))
+        };
+        let sure = self.competition.fits.iter().filter(|_| is_missing).filter(is_sure).max_by(more);
+        let (is_named, is_alone) = (is_missing, sure.is_some());
+        let answer = sure.unwrap_or(if is_missing { best } else { plain });
         let rest = self.rest(answer);
         let verdict = match (is_named, is_alone, rest.verdict) {
             (true, true, _) => Verdict::Known,
@@ -207,7 +216,8 @@ impl Answer<'_, '_> {
         let spread = Spread::estimated(self.forward, &fit.prediction);
         let [repeatable, strays, recorded] = residual_powers(self.forward, &fit.prediction, &spread);
         let share = [repeatable, strays].map(|p| p / recorded.max(f64::MIN_POSITIVE));
-        let verdict = if spread.level > UNNAMED {
+        let level = spread.shared_level(self.forward);
+        let verdict = if level > UNNAMED {
             RestVerdict::Unnamed
         } else if share[1] > self.problem.tolerances.model.powi(2) {
             RestVerdict::Incoherent
@@ -223,18 +233,45 @@ impl Answer<'_, '_> {
             repeatable_share: share[0],
             coherence: coherence.collect(),
             place: outputs.iter().enumerate().map(|(s, name)| (name.clone(), spread.by_band(s))).collect(),
-            level: spread.level,
+            level,
         }
     }
 
-    /// Named effects; an interval is that of the curvature or of leaving one event out, whichever is wider.
-    fn found(&self, fit: &Fit<'_>) -> Vec<Found> {
+    /// Half widths of 95 % intervals of the coordinates of effect `index` of `fit`. What else may hold widens them: every model that has
+    /// that effect, here or elsewhere, counts by its probability.
+    ///
+    /// ```text
+    /// h² = Σ p (h_m² + (1.96 (x_m − x))²) / Σ p                               (1)
+    /// ```
+    ///
+    /// Source: (1) Hoeting et al. (1999), doi 10.1214/ss/1009212519, variance of an average over models.
+    fn half_widths(&self, fit: &Fit<'_>, index: usize) -> Vec<f64> {
         let groups: Vec<usize> = self.forward.records.iter().map(|at| at.group).collect();
-        let spread = half_widths(fit, &groups);
+        let own = &fit.model.effects[index];
+        let x = &fit.x[fit.model.start(index)..][..own.free.len()];
+        let highest = self.competition.log_posterior(fit);
+        let mut sums = vec![[0.0, 0.0]; own.free.len()];
+        for other in &self.competition.fits {
+            let probability = (self.competition.log_posterior(other) - highest).exp();
+            let here = other.model.effects.iter().position(|e| e.is_same(own) && e.is_alike(own));
+            let alike = here.or_else(|| other.model.effects.iter().position(|e| e.is_alike(own)));
+            let Some(start) = alike.filter(|_| probability > NOTHING).map(|i| other.model.start(i)) else { continue };
+            let halves = half_widths(other, &groups);
+            for (k, [square, weight]) in sums.iter_mut().enumerate() {
+                let away = NORMAL * (other.x[start + k] - x[k]);
+                *square += probability * (halves[start + k].powi(2) + away * away);
+                *weight += probability;
+            }
+        }
+        sums.into_iter().map(|[square, weight]| (square / weight).sqrt()).collect()
+    }
+
+    /// Named effects with their intervals.
+    fn found(&self, fit: &Fit<'_>) -> Vec<Found> {
         let of = |(index, instance): (usize, &Instance)| {
-            let start = fit.model.start(index);
+            let (start, halves) = (fit.model.start(index), self.half_widths(fit, index));
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
-                let (x, half, p) = (fit.x[start + i], spread[start + i], free.parameter);
+                let (x, half, p) = (fit.x[start + i], halves[i], free.parameter);
                 let [low, high] = p.bounds();
                 let ends = [x - half, x + half].map(|e| p.value(e.clamp(low, high)));
                 let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
@@ -371,7 +408,8 @@ mod tests {
         let coherence = |f: f64| if f < 1.0 { 0.97 } else { (0.97 - 0.25 * f.ln()).max(0.4) };
         let found = diagnosed(&Truth { soil: [200.0, 0.1], coherence, ..FEW });
         assert_eq!(found.verdict, Verdict::Known, "{:?}", found.candidates);
-        assert_eq!(found.effects[0].kind, "small_strain_damping");
+        let gains: Vec<_> = found.candidates.iter().map(|c| (&c.kind, c.gain)).collect();
+        assert_eq!(found.effects[0].kind, "small_strain_damping", "{gains:?}");
         let beside = found.corrected_nuisances.iter().find(|t| t["kind"].as_str() == Some("small_strain_damping"));
         let beside = beside.and_then(|t| t["multiplier"].as_float()).unwrap_or(1.0);
         let damping_ratio = DAMPING * beside * found.effects[0].parameters["multiplier"].value;

@@ -9,7 +9,7 @@
 use super::algebra;
 use super::forward::{Forward, Prediction};
 use super::parameters::{Model, prior_of};
-use super::posterior::{Fit, Fitter, Start, Stop, combined, normal};
+use super::posterior::{Fit, Fitter, Start, Stop, combined};
 use super::weights::{Rows, Spread, Weights};
 use crate::effects::{self, Instance};
 use crate::error::Result;
@@ -38,12 +38,15 @@ const ROUNDS: usize = 12;
 const NODES: [f64; 2] = [0.6, 1.8];
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
+/// Most rounds at the end.
+const SETTLINGS: usize = 3;
+/// Most times that what few elements leave wrong is taken out anew, and the change of ln of the density that still matters.
+const ANCHORS: usize = 6;
+const TOLD: f64 = 0.5;
 /// Prior probability of one effect more.
 const ONE_MORE: f64 = 0.25;
-/// Level of the column's error from which an effect is missing.
-const STRONG: f64 = 1.1;
 /// Change of the column's level (ln) and of a coherence from which models are compared anew.
-const CHANGED: [f64; 2] = [0.1, 0.05];
+const CHANGED: [f64; 2] = [0.05, 0.02];
 /// The same from which candidates are looked for anew.
 const OTHER: [f64; 2] = [0.7, 0.2];
 
@@ -64,10 +67,18 @@ struct Direction {
     change: Rows,
 }
 
+/// An effect of a proposal.
+struct Part {
+    instance: Instance,
+    /// Coordinates to start from.
+    start: Vec<f64>,
+    /// Slopes along them, as far as they are known.
+    slopes: Vec<Option<Arc<Rows>>>,
+}
+
 /// Candidates that are worth a fit.
 struct Proposal {
-    /// Effects, and coordinates to start from.
-    parts: Vec<(Instance, Vec<f64>)>,
+    parts: Vec<Part>,
     /// Coordinates of the model beside them.
     beside: Vec<f64>,
     /// ln of their posterior up to a constant.
@@ -134,6 +145,7 @@ impl<'a> Competition<'a> {
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
         for _ in 0..ROUNDS {
+            self.renew_anchor()?;
             self.renew_spread(progress)?;
             let best = self.best().model.effects.clone();
             let without = |i: usize| [&best[..i], &best[i + 1..]].concat();
@@ -148,23 +160,43 @@ impl<'a> Competition<'a> {
         self.settle(progress)
     }
 
-    /// Fits to the end, by slopes that replays tell, whatever is close to the best.
+    /// Fits to the end whatever is close to the best.
     fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
-        let mut settled: Vec<Vec<Instance>> = Vec::new();
-        loop {
+        for _ in 0..SETTLINGS {
+            self.renew_anchor()?;
+            let leading = self.best().model.effects.clone();
             let highest = self.log_posterior(self.best());
-            let is_open = |(i, f): &(usize, &Fit<'a>)| {
-                let is_meant = *i == 0 || self.log_posterior(f) > highest - CLOSE;
-                is_meant && !settled.iter().any(|s| is_same_set(s, &f.model.effects))
-            };
-            let Some((index, fit)) = self.fits.iter().enumerate().find(is_open) else { return Ok(()) };
-            settled.push(fit.model.effects.clone());
-            let found = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
-            progress.note(&self.described(&found));
-            if found.cost() <= self.fits[index].cost() {
-                self.fits[index] = found;
+            for i in 0..self.fits.len() {
+                let fit = &self.fits[i];
+                if i == 0 || self.log_posterior(fit) > highest - CLOSE {
+                    self.fits[i] = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
+                    progress.note(&self.described(&self.fits[i]));
+                }
+            }
+            if is_same_set(&leading, &self.best().model.effects) {
+                break;
             }
         }
+        Ok(())
+    }
+
+    /// Takes out what few elements leave wrong beside the best model, until the records cannot tell what is left of that.
+    fn renew_anchor(&mut self) -> Result<()> {
+        for _ in 0..ANCHORS {
+            let best = self.best().clone();
+            self.fitter.forward.anchor(&best.model.tables(&best.x))?;
+            let old = std::mem::take(&mut self.fits);
+            let evaluated = |fit: Fit<'a>| self.fitter.fit(Start::from(fit), Stop { steps: 0, ..Stop::CLOSE });
+            self.fits = old.into_iter().map(evaluated).collect::<Result<_>>()?;
+            let Some(index) = self.known(&best.model.effects) else { break };
+            let there = self.fits[index].clone();
+            let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
+            if 0.5 * moved.iter().flatten().map(|r| r * r).sum::<f64>() < TOLD {
+                break;
+            }
+            self.fits[index] = self.fitter.fit(Start::from(there), Stop::EXACT)?;
+        }
+        Ok(())
     }
 
     /// What is expected of residuals beside a fitted model, and ln of the determinant of that.
@@ -178,7 +210,10 @@ impl<'a> Competition<'a> {
     /// Reads off what is expected of residuals, and fits again whatever is close, if that has changed. What the column has wrong and what
     /// strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
     fn renew_spread(&mut self, progress: &dyn Progress) -> Result<()> {
-        let supported = self.fits.iter().map(|f| (f, self.supported(f)));
+        // Models that take other channels for the same sensors predict other records: that comparison is the evidence's alone.
+        let channels = |fit: &Fit<'_>| fit.prediction.first().map(|p| p.channels.clone());
+        let own = channels(self.best());
+        let supported = self.fits.iter().filter(|f| channels(f) == own).map(|f| (f, self.supported(f)));
         let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));
         let Some((best, (found, _))) = least.map(|(f, s)| (f.clone(), s)) else { return Ok(()) };
         let now = self.fitter.spread();
@@ -191,22 +226,24 @@ impl<'a> Competition<'a> {
         progress.note(&format!("level {:.2}, coherence {:.2?}", found.level, found.coherence));
         // What few elements leave wrong is taken out where it matters now.
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
-        self.fitter = Fitter::new(self.fitter.forward, found, best.prediction.clone());
-        let own = best.model.effects.clone();
-        let corrections = self.fitter.fit(Start::at(best.model, best.x), Stop::EXACT)?.corrections;
+        let reference = self.fitter.predict(&best.model, &best.x)?;
+        self.fitter = Fitter::new(self.fitter.forward, found, reference);
+        let own = best.model.effects;
         let old = std::mem::take(&mut self.fits);
         let cost = |fit: &Fit<'a>| self.fitter.nll(&fit.prediction) + Fitter::prior(&fit.model, &fit.x);
         let costs: Vec<f64> = old.iter().map(cost).collect();
         let lowest = costs.iter().copied().fold(f64::INFINITY, f64::min);
         for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
             if i == 0 || cost < lowest + FAR || is_same_set(&fit.model.effects, &own) {
-                let start = Start::corrected(fit.model, fit.x, &corrections);
-                self.fits.push(self.fitter.fit(start, Stop::CLOSE)?);
+                self.fits.push(self.fitter.fit(Start::at(fit.model, fit.x), Stop::CLOSE)?);
             }
         }
-        // What was found beside other models may be found anew.
+        // What was found beside other models may be found anew; what leads away from it does so by any weights.
         if is_other {
-            self.expanded.clear();
+            let fits = &self.fits;
+            let is_strained =
+                |set: &Vec<Instance>| fits.iter().any(|f| is_same_set(&f.model.effects, set) && f.is_strained());
+            self.expanded.retain(is_strained);
         }
         Ok(())
     }
@@ -239,7 +276,12 @@ impl<'a> Competition<'a> {
             }
         }
         // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
-        let least = heats.into_iter().map(|h| (self.supported(&h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let is_alike = |h: &Fit<'a>| {
+            let channels = |fit: &Fit<'_>| fit.prediction.first().map(|p| p.channels.clone());
+            channels(h) == channels(&base)
+        };
+        let least =
+            heats.into_iter().filter(is_alike).map(|h| (self.supported(&h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, heat)) = least
             && is_new(&finals, &heat)
         {
@@ -254,29 +296,31 @@ impl<'a> Competition<'a> {
 
     /// First fits of the most promising candidates beside `point`, the model of `base`, by what `by` says of them.
     fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, point: &Fit<'a>, is_far: bool) -> Vec<Fit<'a>> {
-        let mut proposals = self.proposals(by, point);
+        let mut proposals = self.proposals(by, point, is_far);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
         // A pair that holds what a single one holds is always as good before it is fitted.
         let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
         let pairs = if is_far { Vec::new() } else { distinct(pairs) };
         let fitted = |set: Proposal| {
-            let mut all = base.model.effects.clone();
-            all.extend(set.parts.iter().map(|(instance, _)| instance.clone()));
-            let model = Model { declared: base.model.declared, effects: all };
+            let mut effects = base.model.effects.clone();
+            effects.extend(set.parts.iter().map(|part| part.instance.clone()));
+            let model = Model { declared: base.model.declared, effects };
             let x = Self::started(by, point, &model, &set);
-            let found = if is_far {
-                self.fitter.fit_from_afar(model, x, FAR_HEAT)
-            } else {
-                self.fitter.fit(Start::near(point, model, x), HEAT)
-            };
+            let slopes = point.slopes.iter().cloned().map(Some).chain(set.parts.into_iter().flat_map(|p| p.slopes));
+            let start = Start { slopes: slopes.collect(), ..Start::at(model, x) };
+            let found = if is_far { self.fitter.fit_from_afar(start, FAR_HEAT) } else { self.fitter.fit(start, HEAT) };
             found.ok()
         };
         distinct(singles).into_iter().chain(pairs).filter_map(fitted).collect()
     }
 
-    /// Goes on with the fit `heat` and keeps it.
+    /// Goes on with the fit `heat` and keeps it; to the end where it comes anywhere near the best.
     fn finish(&mut self, heat: Fit<'a>, progress: &dyn Progress) {
-        let Ok(found) = self.fitter.fit(Start::from(heat), Stop::CLOSE) else { return };
+        let Ok(mut found) = self.fitter.fit(Start::from(heat), Stop::CLOSE) else { return };
+        if self.log_posterior(&found) > self.log_posterior(self.best()) - FAR {
+            let Ok(exact) = self.fitter.fit(Start::from(found), Stop::EXACT) else { return };
+            found = exact;
+        }
         progress.note(&self.described(&found));
         self.keep(found);
     }
@@ -291,21 +335,22 @@ impl<'a> Competition<'a> {
                 return;
             }
             tried.push(best.model.effects.clone());
-            let near = best.model.tables(&best.x);
             for index in 0..best.model.effects.len() {
                 let own = &best.model.effects[index];
-                let others = self.instances.iter().filter(|i| i.is_alike(own) && !is_one(i, own));
+                let is_other = |i: &&Instance| i.is_alike(own) && !best.model.effects.iter().any(|e| is_one(e, i));
+                let others = self.instances.iter().filter(is_other);
                 let moved = others.filter_map(|other| {
                     let mut model = best.model.clone();
                     model.effects[index] = other.clone();
                     let is_open = self.known(&model.effects).is_none();
                     let bounds = model.bounds();
                     let x: Vec<f64> = best.x.iter().zip(bounds).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                    let prediction = is_open.then(|| self.fitter.predict_near(&model, &x, &near).ok()).flatten()?;
+                    let prediction = is_open.then(|| self.fitter.predict(&model, &x).ok()).flatten()?;
                     Some((self.fitter.nll(&prediction), model, x))
                 });
                 let Some((_, model, x)) = moved.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
-                if let Ok(heat) = self.fitter.fit(Start::near(&best, model, x), HEAT) {
+                let slopes = best.slopes[..best.model.declared.len()].iter().cloned().map(Some).collect();
+                if let Ok(heat) = self.fitter.fit(Start { slopes, ..Start::at(model, x) }, HEAT) {
                     self.finish(heat, progress);
                 }
             }
@@ -315,22 +360,24 @@ impl<'a> Competition<'a> {
     /// The fit with `effects`, some of those of the best model, from where that one is.
     fn fit_part(&self, effects: &[Instance]) -> Result<Fit<'a>> {
         let best = self.best();
-        let mut x = best.x[..best.model.declared.len()].to_vec();
+        let n = best.model.declared.len();
+        let mut x = best.x[..n].to_vec();
+        let mut slopes: Vec<Option<Arc<Rows>>> = best.slopes[..n].iter().cloned().map(Some).collect();
         for effect in effects {
             let index = best.model.effects.iter().position(|e| is_one(e, effect));
-            let own = |i: usize| best.x[best.model.start(i)..][..effect.free.len()].to_vec();
-            x.extend(index.map_or_else(|| effect.start(), own));
+            let own = index.map(|i| best.model.start(i)..best.model.start(i) + effect.free.len());
+            x.extend(own.clone().map_or_else(|| effect.start(), |own| best.x[own].to_vec()));
+            slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
-        self.fitter.fit(Start::corrected(model, x, &best.corrections), Stop::CLOSE)
+        self.fitter.fit(Start { slopes, ..Start::at(model, x) }, Stop::EXACT)
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.
     fn relaxed(by: &Fitter<'a>, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let mut x = fit.x.clone();
         x[..fit.model.declared.len()].fill(0.0);
-        let start = Start::corrected(fit.model.clone(), x, &fit.corrections);
-        by.fit(start, Stop { steps: 0, ..Stop::CLOSE })
+        by.fit(Start::at(fit.model.clone(), x), Stop { steps: 0, ..Stop::CLOSE })
     }
 
     /// Keeps the better fit of each model.
@@ -355,13 +402,12 @@ impl<'a> Competition<'a> {
     fn started(by: &Fitter<'a>, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
         let at = |share: f64| {
             let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, to)| x + share * (to - x)).collect();
-            set.parts.iter().for_each(|(_, start)| x.extend(start));
+            set.parts.iter().for_each(|part| x.extend(&part.start));
             x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
             x
         };
-        let near = base.model.tables(&base.x);
         let cost = |x: &Vec<f64>| {
-            let found = by.predict_near(model, x, &near);
+            let found = by.predict(model, x);
             found.map_or(f64::INFINITY, |p| by.nll(&p) + Fitter::prior(model, x))
         };
         let all = [at(1.0), at(0.5), at(0.0)];
@@ -390,7 +436,7 @@ impl<'a> Competition<'a> {
     }
 
     /// All candidates beside `base`: singles, and pairs of the best.
-    fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Proposal> {
+    fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>, is_far: bool) -> Vec<Proposal> {
         let lacking: Vec<Instance> =
             self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| is_one(e, i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && !Forward::is_interference(i);
@@ -400,9 +446,9 @@ impl<'a> Competition<'a> {
         let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| Self::direction(by, base, n)).collect();
         let mut all: Vec<Direction> = along(Self::nodes(&smooth, NODES[0]));
         // What is promising is looked at again where it may be: a strong effect is not linear.
-        let further = self.further(base, &all);
+        let further = self.further(by, base, &all, is_far);
         all.extend::<Vec<Direction>>(along(further));
-        let (singles, pairs) = self.linear(base, &all);
+        let (singles, pairs) = self.linear(by, base, &all);
         proposals.extend(singles);
         if base.model.effects.len() + 2 <= self.max_effects {
             proposals.extend(pairs);
@@ -415,7 +461,7 @@ impl<'a> Competition<'a> {
         let mut model = base.model.clone();
         model.effects.push(node.instance.clone());
         let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        by.predict_near(&model, &x, &base.model.tables(&base.x)).ok()
+        by.predict(&model, &x).ok()
     }
 
     /// How the residuals of `base` change towards a node.
@@ -430,19 +476,20 @@ impl<'a> Competition<'a> {
         let there = Self::predicted(by, base, &node)?;
         let cost = by.nll(&there) + Fitter::prior(&base.model, &base.x);
         let log_posterior = self.prior_of(&node.instance) - cost;
-        Some(Proposal { parts: vec![(node.instance, node.at)], beside: base.x.clone(), log_posterior })
+        let slopes = vec![None; node.at.len()];
+        let part = Part { instance: node.instance, start: node.at, slopes };
+        Some(Proposal { parts: vec![part], beside: base.x.clone(), log_posterior })
     }
 
     /// Further nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point.
-    fn further(&self, base: &Fit<'a>, directions: &[Direction]) -> Vec<Node> {
+    fn further(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction], is_far: bool) -> Vec<Node> {
         // Where something strong is missing, what is linear beside a model that lacks it says little of places.
-        let is_strong = self.fitter.spread().level > STRONG || base.is_strained();
-        let [places, most] = if is_strong { [usize::MAX; 2] } else { [PLACES, SHORTLIST] };
+        let [places, most] = if is_far { [usize::MAX; 2] } else { [PLACES, SHORTLIST] };
         let mut forms: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();
         let mut found = 0;
-        for single in self.linear(base, directions).0 {
-            let (instance, toward) = &single.parts[0];
+        for single in self.linear(by, base, directions).0 {
+            let Part { instance, start: toward, .. } = &single.parts[0];
             let count = forms.entry(form(instance)).or_default();
             *count += 1;
             if *count > places || found == most {
@@ -453,7 +500,7 @@ impl<'a> Competition<'a> {
             let zero = instance.zero().unwrap_or_default();
             let is_opposite = zero.iter().zip(toward).zip(&known.node.at).any(|((z, t), at)| (t - z) * (at - z) < 0.0);
             let mut strengths = if is_opposite { vec![-NODES[0], -NODES[1]] } else { vec![NODES[1]] };
-            if is_strong && !known.node.is_one_sided {
+            if is_far && !known.node.is_one_sided {
                 strengths = vec![-NODES[0], -NODES[1], NODES[1]];
             }
             for strength in strengths {
@@ -468,11 +515,11 @@ impl<'a> Competition<'a> {
     }
 
     /// Each candidate at its best node by the linear problem around `base`, best first, and pairs of the best of these.
-    fn linear(&self, base: &Fit<'a>, directions: &[Direction]) -> (Vec<Proposal>, Vec<Proposal>) {
+    fn linear(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction]) -> (Vec<Proposal>, Vec<Proposal>) {
         let n = base.x.len();
         let slopes: Vec<Arc<Rows>> =
             base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
-        let g = normal(&slopes, &base.rows);
+        let g = by.normal(&slopes, &base.rows);
         let prior = base.model.prior();
         let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
         let mut own = g.clone();
@@ -487,7 +534,7 @@ impl<'a> Competition<'a> {
         };
         let last = left.nrows() - 1;
         // What base itself would gain by moving is no merit of a candidate.
-        let level = -(base.cost() - 0.5 * (own[(n + last, n + last)] - left[(last, last)]));
+        let level = -(base.cost - 0.5 * (own[(n + last, n + last)] - left[(last, last)]));
         let held = |node: &Node, share: f64| share.clamp(if node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST);
         let (shares, evidence) = (|i: usize, j: usize| left[(i, j)], |i: usize| directions[i].node.distance.powi(2));
         let single = |i: usize| {
@@ -512,15 +559,18 @@ impl<'a> Competition<'a> {
                 .collect();
             let whole = Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { precision[i] } else { 0.0 });
             let moved = algebra::solved(&whole, &side).unwrap_or_else(|| vec![0.0; n]);
-            let start = |(d, share): &(usize, f64)| {
-                let node = &directions[*d].node;
+            let part = |(d, share): &(usize, f64)| {
+                let Direction { node, change } = &directions[*d];
                 let zero = node.instance.zero().unwrap_or_default();
                 let at = zero.iter().zip(&node.at).map(|(a, b)| a + share * (b - a));
-                let at = at.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                (node.instance.clone(), at)
+                let start = at.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
+                // Along the one coordinate that differs at the node.
+                let along =
+                    |(a, b): (&f64, &f64)| (a != b).then(|| Arc::new(combined(change, change, 1.0 / (b - a), 0.0)));
+                Part { instance: node.instance.clone(), start, slopes: zero.iter().zip(&node.at).map(along).collect() }
             };
             Proposal {
-                parts: set.iter().map(start).collect(),
+                parts: set.iter().map(part).collect(),
                 beside: base.x.iter().zip(moved).map(|(x, d)| x + d).collect(),
                 log_posterior,
             }
@@ -567,7 +617,7 @@ fn distinct(proposals: Vec<Proposal>) -> Vec<Proposal> {
     let mut known: Vec<Vec<String>> = Vec::new();
     let mut sets = Vec::new();
     for proposal in proposals {
-        let mut forms: Vec<String> = proposal.parts.iter().map(|(i, _)| form(i)).collect();
+        let mut forms: Vec<String> = proposal.parts.iter().map(|p| form(&p.instance)).collect();
         forms.sort_unstable();
         if sets.len() < HEATS && !known.contains(&forms) {
             known.push(forms);

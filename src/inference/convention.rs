@@ -1,6 +1,8 @@
 //! What other programs make of the same declared column: what these change is no property of a site.
 
-use super::forward::{Bins, Forward, Prediction};
+use super::forward::{Bins, Forward, Prediction, built};
+use crate::diagnosis::DiagnoseSettings;
+use crate::diagnosis::responses::Scene;
 use crate::error::Result;
 use realfft::num_complex::Complex;
 use std::sync::Arc;
@@ -15,24 +17,34 @@ const NOTHING: f64 = 1e-6;
 pub type Slope = Arc<Vec<Bins>>;
 
 /// What each convention adds to the outputs under `tables` on top of what is declared: a complex modulus without dispersion, as
-/// frequency-domain programs have it, instead of the causal one. Taken from the linear-equivalent column; empty where it changes nothing.
+/// frequency-domain programs have it, instead of the causal one. Taken from the linear-equivalent column, tuned to the replay there;
+/// empty where it changes nothing.
 ///
 /// # Errors
-/// When the column cannot be built.
-pub fn conventions(forward: &Forward<'_>, tables: &[Table]) -> Result<Vec<Slope>> {
-    let linear = forward.linear();
-    let ours = linear.motions(tables)?;
-    let theirs = linear.without_dispersion()?.motions(tables)?;
+/// When the column cannot be built or replayed.
+pub fn conventions(forward: &Forward<'_>, settings: &DiagnoseSettings, tables: &[Table]) -> Result<Vec<Slope>> {
+    let effects = built(forward.problem, tables)?;
+    let mut scene = Scene::new(forward.problem, settings)?;
+    scene.tune(&effects, &forward.fine(tables)?)?;
+    let groups: Vec<usize> = (0..scene.groups.len()).collect();
+    let n = forward.problem.array.outputs.len().max(1);
+    let by_sensor =
+        |motion: &[C64]| -> Bins { (0..n).map(|s| motion.iter().skip(s).step_by(n).copied().collect()).collect() };
+    let motions = |scene: &Scene<'_>| -> Result<Vec<Bins>> {
+        let found = scene.responses(&effects, &groups, None)?;
+        Ok(found.records.iter().flatten().map(|r| by_sensor(&r.motion)).collect())
+    };
+    let (ours, theirs) = (motions(&scene)?, motions(&scene.without_dispersion())?);
     let mut power = [0.0, 0.0];
     let change =
         |ours: &Vec<C64>, theirs: &Vec<C64>| -> Vec<C64> { ours.iter().zip(theirs).map(|(a, b)| b - a).collect() };
-    let by_sensor = |(ours, theirs): (&Bins, &Bins)| -> Bins {
+    let by_record = |(ours, theirs): (&Bins, &Bins)| -> Bins {
         let added: Bins = ours.iter().zip(theirs).map(|(a, b)| change(a, b)).collect();
         power[0] += ours.iter().flatten().map(C64::norm_sqr).sum::<f64>();
         power[1] += added.iter().flatten().map(C64::norm_sqr).sum::<f64>();
         added
     };
-    let added: Vec<Bins> = ours.iter().zip(theirs.iter()).map(by_sensor).collect();
+    let added: Vec<Bins> = ours.iter().zip(theirs.iter()).map(by_record).collect();
     Ok(if power[1] > NOTHING * NOTHING * power[0] { vec![Arc::new(added)] } else { Vec::new() })
 }
 

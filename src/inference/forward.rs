@@ -7,7 +7,6 @@
 //!
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
-use super::linear_equivalent::LinearEquivalent;
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
 use crate::effects::{self, Channel, Effect, Instance, Operator, Place};
@@ -56,7 +55,6 @@ pub struct Forward<'a> {
     pub groups: Vec<Group>,
     /// Every record in order.
     pub records: Vec<At>,
-    linear: Mutex<Arc<LinearEquivalent<'a>>>,
     replay: &'a dyn Replay,
     names: Vec<String>,
     known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
@@ -80,26 +78,12 @@ impl<'a> Forward<'a> {
             problem,
             records,
             groups,
-            linear: Mutex::new(Arc::new(LinearEquivalent::new(problem, &settings)?)),
             replay,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
             difference: Mutex::default(),
             replays: Mutex::default(),
         })
-    }
-
-    /// The linear-equivalent column.
-    pub fn linear(&self) -> Arc<LinearEquivalent<'a>> {
-        lock(&self.linear).clone()
-    }
-
-    /// Takes the linear-equivalent column without dispersion.
-    #[cfg(test)]
-    pub fn without_dispersion(&self) -> Result<()> {
-        let plain = self.linear().without_dispersion()?;
-        *lock(&self.linear) = Arc::new(plain);
-        Ok(())
     }
 
     /// Replays run so far.
@@ -151,7 +135,7 @@ impl<'a> Forward<'a> {
         tables.iter().filter(|t| self.is_shaken(t)).cloned().collect()
     }
 
-    /// Motions at the output sensors under the effects that move the column, as spectra.
+    /// Motions at the output sensors of the rough replay under the effects that move the column, as spectra.
     fn motions(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
         let shaken = self.shaken(tables);
         let key = key(&shaken);
@@ -159,30 +143,28 @@ impl<'a> Forward<'a> {
             return Ok(known.clone());
         }
         *lock(&self.replays) += 1;
-        let mut found = self.spectra_of(self.replay.replay_roughly(&shaken)?)?;
-        if let Some(difference) = lock(&self.difference).as_deref() {
-            add(&mut found, difference, 1.0);
-        }
-        let found = Arc::new(found);
+        let found = Arc::new(self.spectra_of(self.replay.replay_roughly(&shaken)?)?);
         lock(&self.known).insert(key, found.clone());
         Ok(found)
     }
 
-    /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there, and the
-    /// linear-equivalent column is tuned to it.
+    /// The fine replay under `tables`.
+    ///
+    /// # Errors
+    /// When the column cannot be replayed.
+    pub fn fine(&self, tables: &[Table]) -> Result<Motions> {
+        self.replay.replay(&self.shaken(tables))
+    }
+
+    /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there.
     ///
     /// # Errors
     /// When the column cannot be replayed.
     pub fn anchor(&self, tables: &[Table]) -> Result<()> {
-        let shaken = self.shaken(tables);
-        let fine = self.replay.replay(&shaken)?;
-        let tuned = self.linear().tuned(&shaken, &fine)?;
-        *lock(&self.linear) = Arc::new(tuned);
-        let mut difference = self.spectra_of(fine)?;
-        let rough = self.spectra_of(self.replay.replay_roughly(&shaken)?)?;
-        add(&mut difference, &rough, -1.0);
+        let fine = self.fine(tables)?;
+        let mut difference: Vec<Bins> = self.motions(tables)?.iter().map(|bins| negative(bins)).collect();
+        add(&mut difference, &self.spectra_of(fine)?);
         *lock(&self.difference) = Some(Arc::new(difference));
-        lock(&self.known).clear();
         Ok(())
     }
 
@@ -191,23 +173,11 @@ impl<'a> Forward<'a> {
     /// # Errors
     /// When an effect cannot be built or the column cannot be replayed.
     pub fn predict(&self, tables: &[Table]) -> Result<Prediction> {
-        self.recorded(tables, &self.motions(tables)?)
-    }
-
-    /// The same without a replay under `tables`: the replay under `near`, and what the linear-equivalent column makes of the difference.
-    ///
-    /// # Errors
-    /// As [`Forward::predict`].
-    pub fn predict_near(&self, tables: &[Table], near: &[Table]) -> Result<Prediction> {
-        let (to, from) = (self.shaken(tables), self.shaken(near));
-        let motions = self.motions(near)?;
-        if to == from {
-            return self.recorded(tables, &motions);
-        }
-        let mut motions = motions.to_vec();
-        let linear = self.linear();
-        add(&mut motions, &linear.motions(&to)?, 1.0);
-        add(&mut motions, &linear.motions(&from)?, -1.0);
+        let rough = self.motions(tables)?;
+        let difference = lock(&self.difference).clone();
+        let Some(difference) = difference else { return self.recorded(tables, &rough) };
+        let mut motions = rough.to_vec();
+        add(&mut motions, &difference);
         self.recorded(tables, &motions)
     }
 
@@ -335,9 +305,13 @@ impl<'a> Forward<'a> {
     }
 }
 
-fn add(to: &mut [Bins], from: &[Bins], factor: f64) {
+fn negative(bins: &Bins) -> Bins {
+    bins.iter().map(|by_bin| by_bin.iter().map(|b| -b).collect()).collect()
+}
+
+fn add(to: &mut [Bins], from: &[Bins]) {
     for (to, from) in to.iter_mut().flatten().flatten().zip(from.iter().flatten().flatten()) {
-        *to += from * factor;
+        *to += from;
     }
 }
 

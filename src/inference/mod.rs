@@ -5,9 +5,8 @@
 //! Declared values that may be off within their tolerances and effects of a catalogue are parameters with priors (`parameters`). What is
 //! expected of residuals (noise, a field that is partly incoherent, a column that is not exact) is read off the records beside the model
 //! that leaves least and is one for all models (`weights`), so that a fit is nonlinear least squares (`posterior`) and models compete by
-//! their evidence (`competition`). Replays of the column make values (`forward`); a linear-equivalent column around a replay makes slopes
-//! and tells which candidates are worth one (`linear_equivalent`); what other programs make of the same column is no effect
-//! (`convention`). The answer says what is named and what remains (`answer`).
+//! their evidence (`competition`). Values and slopes are replays of the column (`forward`); what other programs make of the same column is
+//! no effect (`convention`). The answer says what is named and what remains (`answer`).
 //!
 //! ```text
 //! records ─► spread (coherence, level) ─► weights ─► fits of models ─► evidence ─► best model ─► spread …  until it stands still
@@ -19,7 +18,6 @@ mod competition;
 mod convention;
 mod covariance;
 mod forward;
-mod linear_equivalent;
 #[cfg(test)]
 mod made_up;
 mod parameters;

@@ -34,9 +34,10 @@ const LEAST_DAMPING: f64 = 0.05;
 /// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
 const MODES: [usize; 2] = [9, 3];
 /// Farthest an unknown may go from the mean of its prior, standard deviations.
-const FARTHEST: f64 = 6.0;
-/// Step of a finite difference by replay and of one by a sensor's operator, prior standard deviations.
-const STEPS: [f64; 2] = [0.2, 0.02];
+const FARTHEST: f64 = 3.0;
+/// Step of a finite difference, prior standard deviations: records tell some coordinates to a hundredth of them, and replays are smooth to
+/// less.
+const STEP: f64 = 0.02;
 
 /// A declared value that may be off within its tolerance: the effect that moves it.
 #[derive(Debug, Clone, PartialEq)]
@@ -162,6 +163,33 @@ impl Declared {
         tables
     }
 
+    /// Coordinates that at `z` do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
+    /// declared cannot stand in for it.
+    fn same_as(&self, effect: &Instance, z: &[f64]) -> Vec<(usize, f64)> {
+        let own = |o: &Tolerance| o.instance.is_same(effect) && o.instance.is_alike(effect);
+        if let Some(i) = self.others.iter().position(own) {
+            let at = self.n_mode() + i;
+            let ends = [0.5, -0.5].map(|h| self.others[i].coordinate(z[at] + h * STEP));
+            return vec![(at, STEP / (ends[0] - ends[1]))];
+        }
+        let depth = |key: &str| effect.target.get(key).and_then(toml::Value::as_float);
+        let (Some(top_m), Some(bottom_m), 1.., "layer_velocity") =
+            (depth("top_m"), depth("bottom_m"), self.n_mode(), effect.kind)
+        else {
+            return Vec::new();
+        };
+        // Modes that together move the layer and nothing else, if there are any.
+        let is_inside = |pair: &[f64]| pair[0] >= top_m - 1e-6 && pair[1] <= bottom_m + 1e-6;
+        let inside: Vec<f64> = self.cuts_m.windows(2).map(|p| f64::from(u8::from(is_inside(p)))).collect();
+        let m = self.n_mode();
+        let product = |a: usize, b: usize| self.modes.iter().map(|row| row[a] * row[b]).sum::<f64>();
+        let side: Vec<f64> = (0..m).map(|k| self.modes.iter().zip(&inside).map(|(row, w)| row[k] * w).sum()).collect();
+        let Some(shares) = super::algebra::solved(&Mat::from_fn(m, m, product), &side) else { return Vec::new() };
+        let reached = self.ln_factors(&shares);
+        let is_same = inside.contains(&1.0) && reached.iter().zip(&inside).all(|(a, b)| (a - b).abs() < 1e-6);
+        if is_same { shares.into_iter().enumerate().collect() } else { Vec::new() }
+    }
+
     /// Whether coordinate `i` changes how the column is shaken.
     fn is_replayed(&self, i: usize) -> bool {
         let others = i.checked_sub(self.n_mode());
@@ -218,6 +246,13 @@ impl<'a> Model<'a> {
         self.effects[index].at(&x[start..start + self.effects[index].free.len()])
     }
 
+    /// Coordinates of effects for which declared values can stand in at `x`: coordinate, and [`Declared::same_as`].
+    pub fn same(&self, x: &[f64]) -> Vec<(usize, Vec<(usize, f64)>)> {
+        let single = self.effects.iter().enumerate().filter(|(_, e)| e.free.len() == 1);
+        let all = single.map(|(i, e)| (self.start(i), self.declared.same_as(e, x)));
+        all.filter(|(_, parts)| !parts.is_empty()).collect()
+    }
+
     /// Mean and standard deviation of the prior of each coordinate.
     pub fn prior(&self) -> Vec<[f64; 2]> {
         let effects = self.free().map(prior_of);
@@ -243,7 +278,7 @@ impl<'a> Model<'a> {
     pub fn step(&self, x: &[f64], i: usize) -> f64 {
         let [_, deviation] = self.prior()[i];
         let [low, high] = self.bounds()[i];
-        let size = STEPS[usize::from(!self.is_replayed(i))] * deviation;
+        let size = STEP * deviation;
         let toward = if high - x[i] >= x[i] - low { 1.0 } else { -1.0 };
         toward * size.min(0.5 * (high - low))
     }
@@ -313,4 +348,30 @@ fn modes(array: &Array, cuts_m: &[f64], vs_ln: f64) -> Vec<Vec<f64>> {
     }
     let scaled = &b * &l;
     (0..n).map(|i| (0..m).map(|j| scaled[(i, j)]).collect()).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{Truth, problem};
+    use super::*;
+
+    #[test]
+    fn velocities_of_all_layers_are_what_modes_make_of_them() {
+        let problem = problem(&Truth::default());
+        let declared = Declared::new(&problem).unwrap();
+        let layer = |bottom_m: f64| {
+            let mut layer =
+                effects::instances(&problem.array).into_iter().find(|i| i.kind == "layer_velocity").unwrap();
+            layer.target.insert("top_m".into(), 0.0.into());
+            layer.target.insert("bottom_m".into(), bottom_m.into());
+            layer
+        };
+        let z = vec![0.0; declared.len()];
+        let shares = declared.same_as(&layer(40.0), &z);
+        let mut beside = z.clone();
+        shares.iter().for_each(|(i, share)| beside[*i] = *share);
+        assert!(!shares.is_empty());
+        assert!(declared.ln_factors(&beside).iter().all(|ln| (ln - 1.0).abs() < 1e-9));
+        assert!(declared.same_as(&layer(20.0), &z).is_empty());
+    }
 }

@@ -27,6 +27,8 @@ const RESOLUTION: usize = 1;
 const USUAL_NOISE: f64 = 0.01;
 /// Values of the column's error that the declared one counts for when its level is estimated.
 const PRIOR_VALUES: f64 = 10.0;
+/// Steps towards the level of that error.
+const LEVEL_STEPS: usize = 20;
 /// Smallest coherence that is still told from none.
 const LEAST_COHERENCE: f64 = 0.05;
 /// Least error of a column.
@@ -88,8 +90,6 @@ struct Record {
     /// Coherence, `[sensor][bin]`.
     coherence: Vec<Vec<f64>>,
     bands: Vec<Vec<Band>>,
-    /// Bins that count.
-    n_bin: usize,
 }
 
 /// Residuals in units of what is expected of them.
@@ -102,7 +102,7 @@ struct Record {
 /// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. m is the declared error
 /// of the column, a share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of
 /// [`ALIKE_OCTAVES`] and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of anything smooth than a
-/// likelihood with that correlation would. Where the field strays from its base only amplitudes tell of the column: (2), A being the
+/// likelihood with that correlation would; the determinant is that of the correlated error, which broadens one direction of the N. Where the field strays from its base only amplitudes tell of the column: (2), A being the
 /// RMS amplitude of a band of n bins and R the number of records times that of the bands that share the error.
 ///
 /// Σ is made of what was recorded and does not change with the prediction. So a prediction gains nothing by shrinking, and models that
@@ -204,6 +204,7 @@ impl Spread {
     /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (3)
     /// ```
     ///
+    /// ω counts what is seen at the declared error: what is missing is not to be taken for an error of the column before it has a name.
     /// Sums of (1) are over the bins of a band and all records, each weighted by its power, n their number; those of (2) over the bins of
     /// the shortest record's resolution; v is what noise and straying make of δ by chance. ν values of δ count for the declared error m.
     pub fn estimated(forward: &Forward<'_>, prediction: &Prediction) -> Self {
@@ -221,7 +222,6 @@ impl Spread {
         let by_sensor = |(at, p): (&At, &Predicted)| p.channels.iter().map(|c| noise(forward, *at, *c)).collect();
         let noises: Vec<Vec<Vec<f64>>> = forward.records.iter().zip(prediction).map(by_sensor).collect();
         let (mut coherence, mut repeatable) = (Vec::new(), Vec::new());
-        let (mut sum, mut weight) = (PRIOR_VALUES, PRIOR_VALUES);
         for s in 0..n_sensor {
             // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of bins, by band.
             let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
@@ -273,15 +273,31 @@ impl Spread {
             let mut places = Vec::new();
             for (k, (cross, square, strays)) in shared.into_iter().enumerate().filter(|(_, m)| m.1 > 0.0) {
                 let (delta, chance) = (cross / square, strays / (square * square));
-                let omega = (model * model / (model * model + chance)).powi(2);
-                sum += omega * (delta.norm_sqr() - chance) / (model * model);
-                weight += omega;
                 places.push(Shared { f_hz: ends[0] + (k as f64 + 0.5) * step_hz, delta, chance });
             }
             coherence.push(own);
             repeatable.push(places);
         }
-        Self { level: (sum / weight).max(1.0).sqrt(), coherence, repeatable }
+        Self { level: Self::level(&repeatable, model, 1.0), coherence, repeatable }
+    }
+
+    /// Error of the column over the declared one when all that records share counts, also what is no error of a column: the solution σ
+    /// of (3) with ω at σ instead of the declared error.
+    pub fn shared_level(&self, forward: &Forward<'_>) -> f64 {
+        (0..LEVEL_STEPS).fold(self.level, |level, _| Self::level(&self.repeatable, model_error(forward), level))
+    }
+
+    /// (3), ω at `level`.
+    fn level(repeatable: &[Vec<Shared>], model: f64, level: f64) -> f64 {
+        let declared = model * model;
+        let (mut sum, mut weight) = (PRIOR_VALUES, PRIOR_VALUES);
+        for place in repeatable.iter().flatten() {
+            let own = level * level * declared;
+            let omega = (own / (own + place.chance)).powi(2);
+            sum += omega * (place.delta.norm_sqr() - place.chance) / declared;
+            weight += omega;
+        }
+        (sum / weight).max(1.0).sqrt()
     }
 
     /// What all records share of the residual of output sensor `s`, mean over bands: frequency in Hz, real and imaginary part.
@@ -330,6 +346,20 @@ pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &
     sums.map(|s: f64| s.max(0.0))
 }
 
+/// `rows` with nothing above `high_hz`.
+pub fn below(forward: &Forward<'_>, rows: &Rows, high_hz: f64) -> Rows {
+    let n_sensor = forward.problem.array.outputs.len();
+    let of = |(at, rows): (&At, &Vec<f64>)| {
+        let f = forward.frequencies_hz(*at);
+        let n_bin = f.partition_point(|f| *f <= high_hz);
+        let bins = f.iter().flat_map(|f| std::iter::repeat_n(*f <= high_hz, 2 * n_sensor));
+        let bands: Vec<bool> = bands(f).into_iter().map(|b| b.end <= n_bin).collect();
+        let counts = bins.chain(bands.iter().copied().cycle().take(n_sensor * bands.len()));
+        rows.iter().zip(counts).map(|(row, counts)| if counts { *row } else { 0.0 }).collect()
+    };
+    forward.records.iter().zip(rows).map(of).collect()
+}
+
 impl Weights {
     /// Weights of the records by `spread`, the transfer functions those of `prediction`.
     pub fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
@@ -360,13 +390,18 @@ impl Weights {
         let coherence: Vec<Vec<f64>> = spread.coherence.iter().map(at_bins).collect();
         let strays = |s: usize, k: usize| (1.0 - coherence[s][k].powi(2)).max(0.0) * recorded[s][k];
         let step_hz = f[1] - f[0];
-        let sigma = |k: usize| {
-            let n_bin = (f[k] * ((LN_2 * ALIKE_OCTAVES).exp() - 1.0) / step_hz).max(1.0);
-            let d = |s: usize| {
-                let own = level * level * n_bin * n_record * added[s][k];
-                (noise[s + 1][k] + strays(s, k) + own).max(f64::MIN_POSITIVE)
-            };
-            Covariance::new((0..n_sensor).map(d).collect(), gain.iter().map(|h| h[k]), noise[0][k])
+        // Values of the column's error that are one.
+        let alike = |k: usize| (f[k] * ((LN_2 * ALIKE_OCTAVES).exp() - 1.0) / step_hz).max(1.0) * n_record;
+        let own = |s: usize, k: usize| level * level * alike(k) * added[s][k];
+        let plain = |s: usize, k: usize| (noise[s + 1][k] + strays(s, k)).max(f64::MIN_POSITIVE);
+        let covariance = |k: usize, of: &dyn Fn(usize) -> f64| {
+            Covariance::new((0..n_sensor).map(of).collect(), gain.iter().map(|h| h[k]), noise[0][k])
+        };
+        let sigma = |k: usize| covariance(k, &|s| plain(s, k) + own(s, k));
+        // That of a covariance in which the error is one number for all of these.
+        let ln_determinant = |k: usize| {
+            let broadened: f64 = (0..n_sensor).map(|s| (own(s, k) / plain(s, k)).ln_1p()).sum();
+            covariance(k, &|s| plain(s, k)).ln_determinant() + broadened / alike(k)
         };
         let band = |s: usize, bins: Range<usize>| {
             let n = bins.len() as f64;
@@ -379,19 +414,10 @@ impl Weights {
             Band { weight, noise: sum(&|k| noise[s + 1][k]), bins }
         };
         let sigma: Vec<Covariance> = (0..f.len()).map(sigma).collect();
-        let constant = sigma.iter().map(Covariance::ln_determinant).sum::<f64>()
+        let constant = (0..f.len()).map(ln_determinant).sum::<f64>()
             + input.iter().map(|p| p.max(f64::MIN_POSITIVE).ln()).sum::<f64>();
         let bands = (0..n_sensor).map(|s| bands(f).into_iter().map(|b| band(s, b)).collect()).collect();
-        (Record { sigma, coherence, bands, n_bin: f.len() }, constant)
-    }
-
-    /// The same for frequencies up to `high_hz` alone: residuals above are taken to be nothing.
-    #[must_use]
-    pub fn below(mut self, forward: &Forward<'_>, high_hz: f64) -> Self {
-        for (record, at) in self.records.iter_mut().zip(&forward.records) {
-            record.n_bin = forward.frequencies_hz(*at).partition_point(|f| *f <= high_hz);
-        }
-        self
+        (Record { sigma, coherence, bands }, constant)
     }
 
     /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
@@ -410,9 +436,6 @@ impl Record {
                 *r = p.measured[s][k] - self.coherence[s][k] * p.outputs[s][k];
             }
             sigma.whiten(&mut residual);
-            if k >= self.n_bin {
-                residual.fill(C64::default());
-            }
             rows.extend(residual.iter().flat_map(|r| [SQRT_2 * r.re, SQRT_2 * r.im]));
         }
         for (s, bands) in self.bands.iter().enumerate() {
@@ -420,7 +443,7 @@ impl Record {
                 let power = |x: &[C64]| x[band.bins.clone()].iter().map(C64::norm_sqr).sum::<f64>();
                 let (recorded, predicted) = (power(&p.measured[s]), power(&p.outputs[s]) + band.noise);
                 let ln = 0.5 * (recorded.max(f64::MIN_POSITIVE) / predicted.max(f64::MIN_POSITIVE)).ln();
-                rows.push(if band.bins.end <= self.n_bin { band.weight * ln } else { 0.0 });
+                rows.push(band.weight * ln);
             }
         }
         rows

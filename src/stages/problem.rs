@@ -44,6 +44,8 @@ pub struct Bench<'a> {
     /// Where replays are cached; without one they are computed every time.
     task: Option<&'a Task<'a>>,
     sections: ColumnSections,
+    /// The same in as many elements as waves need.
+    fine: ColumnSections,
     /// The same in fewer elements and longer steps, for differences between replays.
     rough: ColumnSections,
     settings: RecordSettings,
@@ -81,7 +83,13 @@ impl<'a> Bench<'a> {
         events: Vec<(Split, Vec<Record>)>,
     ) -> Result<Self> {
         let rough = roughened(sections.clone(), diagnose);
+        let converged = meshed(sections.clone(), PER_WAVE, diagnose.band_hz[1]);
         let sections = refined(sections, diagnose);
+        // What is sought in soil is not to make up for what elements leave wrong.
+        let fine = match diagnose.method {
+            Method::Competition => ColumnSections { site: converged.site, ..sections.clone() },
+            Method::Search => sections.clone(),
+        };
         let noise: Vec<_> =
             events.iter().map(|(_, r)| r.iter().map(|r| diagnosis::noise(r, settings.noise)).collect()).collect();
         let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
@@ -93,7 +101,7 @@ impl<'a> Bench<'a> {
         };
         let events =
             events.into_iter().zip(&noise).map(|((_, r), n)| r.into_iter().zip(n).map(quiet).collect()).collect();
-        Ok(Self { task, sections, rough, settings, events, problem })
+        Ok(Self { task, sections, fine, rough, settings, events, problem })
     }
 
     /// What the array would record of the replays under `effects` on top of the manifest's, event by event and component by
@@ -137,7 +145,7 @@ fn strongest(records: Vec<Record>) -> Vec<Record> {
 ///
 /// Source: (1) Bathe (2014), Finite Element Procedures, 2nd ed., section 9.4.4.
 fn refined(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
-    let mut sections = meshed(sections, PER_WAVE, settings.band_hz[1]);
+    let mut sections = coarsened(sections, PER_WAVE, settings.band_hz[1]);
     let analysis = &mut sections.analysis;
     analysis.max_step_s = analysis.max_step_s.min(settings.max_step_s);
     analysis.initial_step_s = analysis.initial_step_s.min(analysis.max_step_s);
@@ -147,7 +155,7 @@ fn refined(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSecti
 /// `sections` with the elements of [`Replay::replay_roughly`] and the steps of the manifest; where fits follow slopes closely, all of one
 /// length: where steps are shortened goes by thresholds, so that motions would jump by a little as parameters change.
 fn roughened(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
-    let mut sections = meshed(sections, ROUGHLY_PER_WAVE, settings.band_hz[1]);
+    let mut sections = coarsened(sections, ROUGHLY_PER_WAVE, settings.band_hz[1]);
     if settings.method == Method::Competition {
         let analysis = &mut sections.analysis;
         (analysis.initial_step_s, analysis.max_jump) = (analysis.max_step_s, f64::INFINITY);
@@ -155,8 +163,14 @@ fn roughened(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSec
     sections
 }
 
-/// `sections` in `per_wave` elements to the shortest wave below `high_hz`, or as they are where they have fewer: what is found is to
-/// hold for the column that is declared. Elements are of one height but where those of each layer's own waves are half as many.
+/// `sections` in `per_wave` elements to the shortest wave below `high_hz`, or as they are where they have fewer.
+fn coarsened(sections: ColumnSections, per_wave: f64, high_hz: f64) -> ColumnSections {
+    let found = meshed(sections.clone(), per_wave, high_hz);
+    if found.site.elements < sections.site.elements { found } else { sections }
+}
+
+/// `sections` in `per_wave` elements to the shortest wave below `high_hz`, of one height but where those of each layer's own waves are
+/// half as many.
 fn meshed(mut sections: ColumnSections, per_wave: f64, high_hz: f64) -> ColumnSections {
     let even = evenly(&sections, per_wave, high_hz);
     let of = |l: &LayerSection| needed(l.thickness_m, per_wave, high_hz, l.vs_m_s);
@@ -165,9 +179,6 @@ fn meshed(mut sections: ColumnSections, per_wave: f64, high_hz: f64) -> ColumnSe
     let is_graded = 2 * graded < even;
     let count = if is_graded { graded } else { even };
     let site = &mut sections.site;
-    if count >= site.elements {
-        return sections;
-    }
     site.elements = count;
     for (layer, count) in site.layer.iter_mut().zip(by_layer) {
         let finer = count as f64 / graded as f64 * site.depth_m / layer.thickness_m;
@@ -233,7 +244,7 @@ fn problem(
 
 impl Replay for Bench<'_> {
     fn replay(&self, effects: &[Table]) -> Result<Motions> {
-        self.replay_of(&self.sections, &self.events, effects)
+        self.replay_of(&self.fine, &self.events, effects)
     }
 
     fn replay_roughly(&self, effects: &[Table]) -> Result<Motions> {

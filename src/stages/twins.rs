@@ -85,7 +85,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        30
+        31
     }
 
     fn reads(&self) -> &'static [&'static str] {
