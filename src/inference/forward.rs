@@ -162,7 +162,7 @@ impl<'a> Forward<'a> {
     /// When the column cannot be replayed.
     pub fn anchor(&self, tables: &[Table]) -> Result<()> {
         let fine = self.fine(tables)?;
-        let mut difference: Vec<Bins> = self.motions(tables)?.iter().map(|bins| negative(bins)).collect();
+        let mut difference: Vec<Bins> = self.motions(tables)?.iter().map(negative).collect();
         add(&mut difference, &self.spectra_of(fine)?);
         *lock(&self.difference) = Some(Arc::new(difference));
         Ok(())
