@@ -191,6 +191,11 @@ impl Instance {
         self.kind == other.kind && names(self) == names(other)
     }
 
+    /// Whether it is the same parameters of the same effect at the same place.
+    pub fn is_one(&self, other: &Self) -> bool {
+        self.is_same(other) && self.is_alike(other)
+    }
+
     /// What it acts on.
     pub fn class(&self) -> Class {
         super::find(self.kind).map_or(Class::Soil, |e| e.catalogue.class)

@@ -99,19 +99,15 @@ impl<'a> Answer<'_, 'a> {
         let is_missing = !best.model.effects.is_empty() && nothing < NOTHING;
         let included = |kind: &&str| mass.iter().filter(|(set, _)| set.contains(kind)).map(|(_, p)| p).sum::<f64>();
         // What may be there besides, and may not, is not claimed.
-        let is_sure = |fit: &&Fit<'a>| {
+        let is_sure = |fit: &Fit<'a>| {
             let kinds = kinds(fit);
             let own = mass.get(&kinds).copied().unwrap_or(0.0);
             !kinds.is_empty() && own >= NOTHING && kinds.iter().all(|kind| included(kind) >= KNOWN)
         };
-        let more = |a: &&Fit<'a>, b: &&Fit<'a>| {
-            self.competition.log_posterior(a).total_cmp(&self.competition.log_posterior(b))
-        };
-        let sure = self.competition.fits.iter().filter(|_| is_missing).filter(is_sure).max_by(more);
-        let (is_named, is_alone) = (is_missing, sure.is_some());
+        let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
         let answer = sure.unwrap_or(if is_missing { best } else { plain });
         let rest = self.rest(answer);
-        let verdict = match (is_named, is_alone, rest.verdict) {
+        let verdict = match (is_missing, sure.is_some(), rest.verdict) {
             (true, true, _) => Verdict::Known,
             (true, false, _) => Verdict::Ambiguous,
             (false, _, RestVerdict::Unnamed) => Verdict::Unknown,
@@ -128,12 +124,12 @@ impl<'a> Answer<'_, 'a> {
         let range = answer.model.declared.len();
         Diagnosis {
             verdict,
-            effects: if is_named { self.found(answer) } else { Vec::new() },
+            effects: if is_missing { self.found(answer) } else { Vec::new() },
             ambiguity,
             nuisances: plain.model.declared.tables(&plain.x),
             corrected_nuisances: answer.model.declared.tables(&answer.x[..range]),
             candidates: self.candidates(),
-            explained_share: is_named.then(|| self.explained_share(answer)),
+            explained_share: is_missing.then(|| self.explained_share(answer)),
             input_coherent_share: None,
             declared: Default::default(),
             recalibrated: Default::default(),
@@ -237,39 +233,20 @@ impl<'a> Answer<'_, 'a> {
         }
     }
 
-    /// Half widths of 95 % intervals of the coordinates of effect `index` of `fit`. What else may hold widens them: every model that has
-    /// that effect, here or elsewhere, counts by its probability.
-    ///
-    /// ```text
-    /// h² = Σ p (h_m² + (1.96 (x_m − x))²) / Σ p                               (1)
-    /// ```
-    ///
-    /// Source: (1) Hoeting et al. (1999), doi 10.1214/ss/1009212519, variance of an average over models.
-    fn half_widths(&self, fit: &Fit<'_>, index: usize) -> Vec<f64> {
+    /// Models that are not much less probable than `fit`.
+    fn members(&self, fit: &Fit<'_>) -> Vec<Member<'_, 'a>> {
         let groups: Vec<usize> = self.forward.records.iter().map(|at| at.group).collect();
-        let own = &fit.model.effects[index];
-        let x = &fit.x[fit.model.start(index)..][..own.free.len()];
         let highest = self.competition.log_posterior(fit);
-        let mut sums = vec![[0.0, 0.0]; own.free.len()];
-        for other in &self.competition.fits {
-            let probability = (self.competition.log_posterior(other) - highest).exp();
-            let here = other.model.effects.iter().position(|e| e.is_same(own) && e.is_alike(own));
-            let alike = here.or_else(|| other.model.effects.iter().position(|e| e.is_alike(own)));
-            let Some(start) = alike.filter(|_| probability > NOTHING).map(|i| other.model.start(i)) else { continue };
-            let halves = half_widths(other, &groups);
-            for (k, [square, weight]) in sums.iter_mut().enumerate() {
-                let away = NORMAL * (other.x[start + k] - x[k]);
-                *square += probability * (halves[start + k].powi(2) + away * away);
-                *weight += probability;
-            }
-        }
-        sums.into_iter().map(|[square, weight]| (square / weight).sqrt()).collect()
+        let odds = |other: &Fit<'_>| (self.competition.log_posterior(other) - highest).exp();
+        let close = self.competition.fits.iter().filter(|other| odds(other) > NOTHING);
+        close.map(|other| Member { fit: other, odds: odds(other), half_widths: half_widths(other, &groups) }).collect()
     }
 
     /// Named effects with their intervals.
     fn found(&self, fit: &Fit<'_>) -> Vec<Found> {
+        let members = self.members(fit);
         let of = |(index, instance): (usize, &Instance)| {
-            let (start, halves) = (fit.model.start(index), self.half_widths(fit, index));
+            let (start, halves) = (fit.model.start(index), averaged(fit, index, &members));
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
                 let (x, half, p) = (fit.x[start + i], halves[i], free.parameter);
                 let [low, high] = p.bounds();
@@ -290,6 +267,41 @@ impl<'a> Answer<'_, 'a> {
         };
         fit.model.effects.iter().enumerate().map(of).collect()
     }
+}
+
+/// A model that may hold.
+struct Member<'c, 'a> {
+    fit: &'c Fit<'a>,
+    /// Its probability over that of the answer.
+    odds: f64,
+    /// Of 95 % intervals of its coordinates.
+    half_widths: Vec<f64>,
+}
+
+/// Half widths of 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`. What else may hold widens them: every
+/// member that has that effect, here or elsewhere, counts by its probability.
+///
+/// ```text
+/// h² = Σ p (h_m² + (1.96 (x_m − x))²) / Σ p                               (1)
+/// ```
+///
+/// Source: (1) Hoeting et al. (1999), doi 10.1214/ss/1009212519, variance of an average over models.
+fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<f64> {
+    let own = &fit.model.effects[index];
+    let x = &fit.x[fit.model.start(index)..][..own.free.len()];
+    let mut sums = vec![[0.0, 0.0]; own.free.len()];
+    for Member { fit: other, odds, half_widths } in members {
+        let effects = &other.model.effects;
+        let here = effects.iter().position(|e| e.is_one(own));
+        let Some(alike) = here.or_else(|| effects.iter().position(|e| e.is_alike(own))) else { continue };
+        let start = other.model.start(alike);
+        for (k, [square, weight]) in sums.iter_mut().enumerate() {
+            let away = NORMAL * (other.x[start + k] - x[k]);
+            *square += odds * (half_widths[start + k].powi(2) + away * away);
+            *weight += odds;
+        }
+    }
+    sums.into_iter().map(|[square, weight]| (square / weight).sqrt()).collect()
 }
 
 /// Half widths of 95 % intervals of the coordinates.
@@ -378,14 +390,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_named_where_nothing_is_missing() {
+    fn nothing_is_missing_where_nothing_is_missing() {
         let found = diagnosed(&Truth { soil: [204.0, 0.022], ..FEW });
         assert_eq!((found.verdict, found.effects.len()), (Verdict::None, 0), "{:?}", found.candidates.first());
         assert_eq!(found.rest.unwrap().verdict, RestVerdict::Noise);
     }
 
     #[test]
-    fn a_late_clock_is_named_with_an_interval_that_holds() {
+    fn a_late_clock_is_missing_with_an_interval_that_holds() {
         let table = "kind = 'clock_offset'\nsensor = 'mid'\noffset_s = 0.025";
         let found = diagnosed(&Truth { table, ..FEW });
         assert_eq!((found.verdict, found.effects.len()), (Verdict::Known, 1), "{:?}", found.candidates);
@@ -404,7 +416,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_is_named_beside_a_field_that_strays() {
+    fn what_is_known_is_missing_beside_a_field_that_strays() {
         let coherence = |f: f64| if f < 1.0 { 0.97 } else { (0.97 - 0.25 * f.ln()).max(0.4) };
         let found = diagnosed(&Truth { soil: [200.0, 0.1], coherence, ..FEW });
         assert_eq!(found.verdict, Verdict::Known, "{:?}", found.candidates);

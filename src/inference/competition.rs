@@ -7,9 +7,9 @@
 //! column's error is read off beside the best model, and all models are compared by that.
 
 use super::algebra;
-use super::forward::{Forward, Prediction};
+use super::forward::{Forward, Prediction, channels};
 use super::parameters::{Model, prior_of};
-use super::posterior::{Fit, Fitter, Start, Stop, combined};
+use super::posterior::{Fit, Fitter, Start, Stop, combined, square};
 use super::weights::{Rows, Spread, Weights};
 use crate::effects::{self, Instance};
 use crate::error::Result;
@@ -131,8 +131,13 @@ impl<'a> Competition<'a> {
 
     /// The most probable model.
     pub fn best(&self) -> &Fit<'a> {
-        let better = |a: &&Fit<'a>, b: &&Fit<'a>| self.log_posterior(a).total_cmp(&self.log_posterior(b));
-        self.fits.iter().max_by(better).unwrap_or(&self.fits[0])
+        self.best_of(|_| true).unwrap_or(&self.fits[0])
+    }
+
+    /// The most probable of the models that `is_meant` takes.
+    pub fn best_of(&self, is_meant: impl Fn(&Fit<'a>) -> bool) -> Option<&Fit<'a>> {
+        let more = |a: &&Fit<'a>, b: &&Fit<'a>| self.log_posterior(a).total_cmp(&self.log_posterior(b));
+        self.fits.iter().filter(|fit| is_meant(fit)).max_by(more)
     }
 
     fn known(&self, effects: &[Instance]) -> Option<usize> {
@@ -186,12 +191,12 @@ impl<'a> Competition<'a> {
             let best = self.best().clone();
             self.fitter.forward.anchor(&best.model.tables(&best.x))?;
             let old = std::mem::take(&mut self.fits);
-            let evaluated = |fit: Fit<'a>| self.fitter.fit(Start::from(fit), Stop { steps: 0, ..Stop::CLOSE });
+            let evaluated = |fit: Fit<'a>| self.fitter.fit(Start::from(fit), Stop::WHERE_IT_IS);
             self.fits = old.into_iter().map(evaluated).collect::<Result<_>>()?;
             let Some(index) = self.known(&best.model.effects) else { break };
             let there = self.fits[index].clone();
             let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
-            if 0.5 * moved.iter().flatten().map(|r| r * r).sum::<f64>() < TOLD {
+            if 0.5 * square(&moved) < TOLD {
                 break;
             }
             self.fits[index] = self.fitter.fit(Start::from(there), Stop::EXACT)?;
@@ -211,9 +216,8 @@ impl<'a> Competition<'a> {
     /// strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
     fn renew_spread(&mut self, progress: &dyn Progress) -> Result<()> {
         // Models that take other channels for the same sensors predict other records: that comparison is the evidence's alone.
-        let channels = |fit: &Fit<'_>| fit.prediction.first().map(|p| p.channels.clone());
-        let own = channels(self.best());
-        let supported = self.fits.iter().filter(|f| channels(f) == own).map(|f| (f, self.supported(f)));
+        let own = channels(&self.best().prediction);
+        let supported = self.fits.iter().filter(|f| channels(&f.prediction) == own).map(|f| (f, self.supported(f)));
         let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));
         let Some((best, (found, _))) = least.map(|(f, s)| (f.clone(), s)) else { return Ok(()) };
         let now = self.fitter.spread();
@@ -276,12 +280,8 @@ impl<'a> Competition<'a> {
             }
         }
         // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
-        let is_alike = |h: &Fit<'a>| {
-            let channels = |fit: &Fit<'_>| fit.prediction.first().map(|p| p.channels.clone());
-            channels(h) == channels(&base)
-        };
-        let least =
-            heats.into_iter().filter(is_alike).map(|h| (self.supported(&h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let alike = heats.into_iter().filter(|h| channels(&h.prediction) == channels(&base.prediction));
+        let least = alike.map(|h| (self.supported(&h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, heat)) = least
             && is_new(&finals, &heat)
         {
@@ -337,7 +337,7 @@ impl<'a> Competition<'a> {
             tried.push(best.model.effects.clone());
             for index in 0..best.model.effects.len() {
                 let own = &best.model.effects[index];
-                let is_other = |i: &&Instance| i.is_alike(own) && !best.model.effects.iter().any(|e| is_one(e, i));
+                let is_other = |i: &&Instance| i.is_alike(own) && !best.model.effects.iter().any(|e| e.is_one(i));
                 let others = self.instances.iter().filter(is_other);
                 let moved = others.filter_map(|other| {
                     let mut model = best.model.clone();
@@ -364,7 +364,7 @@ impl<'a> Competition<'a> {
         let mut x = best.x[..n].to_vec();
         let mut slopes: Vec<Option<Arc<Rows>>> = best.slopes[..n].iter().cloned().map(Some).collect();
         for effect in effects {
-            let index = best.model.effects.iter().position(|e| is_one(e, effect));
+            let index = best.model.effects.iter().position(|e| e.is_one(effect));
             let own = index.map(|i| best.model.start(i)..best.model.start(i) + effect.free.len());
             x.extend(own.clone().map_or_else(|| effect.start(), |own| best.x[own].to_vec()));
             slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
@@ -377,7 +377,7 @@ impl<'a> Competition<'a> {
     fn relaxed(by: &Fitter<'a>, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let mut x = fit.x.clone();
         x[..fit.model.declared.len()].fill(0.0);
-        by.fit(Start::at(fit.model.clone(), x), Stop { steps: 0, ..Stop::CLOSE })
+        by.fit(Start::at(fit.model.clone(), x), Stop::WHERE_IT_IS)
     }
 
     /// Keeps the better fit of each model.
@@ -438,7 +438,7 @@ impl<'a> Competition<'a> {
     /// All candidates beside `base`: singles, and pairs of the best.
     fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>, is_far: bool) -> Vec<Proposal> {
         let lacking: Vec<Instance> =
-            self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| is_one(e, i))).cloned().collect();
+            self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && !Forward::is_interference(i);
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
         let mut proposals: Vec<Proposal> =
@@ -633,12 +633,7 @@ fn form(instance: &Instance) -> String {
     std::iter::once(instance.kind).chain(names).collect::<Vec<_>>().join(" ")
 }
 
-/// Whether two candidates are the same parameters of the same effect at the same place.
-fn is_one(a: &Instance, b: &Instance) -> bool {
-    a.is_same(b) && a.is_alike(b)
-}
-
 /// Whether two sets hold the same effects in any order.
 fn is_same_set(one: &[Instance], other: &[Instance]) -> bool {
-    one.len() == other.len() && one.iter().all(|a| other.iter().any(|b| is_one(a, b)))
+    one.len() == other.len() && one.iter().all(|a| other.iter().any(|b| a.is_one(b)))
 }

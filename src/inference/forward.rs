@@ -47,6 +47,13 @@ pub struct At {
     pub record: usize,
 }
 
+/// What the fine replay at one state of the column corrects.
+struct Anchor {
+    key: String,
+    /// Fine less rough, by record.
+    difference: Arc<Vec<Bins>>,
+}
+
 /// The column and the sensors of a problem.
 pub struct Forward<'a> {
     /// What is known and what is to be explained.
@@ -58,8 +65,7 @@ pub struct Forward<'a> {
     replay: &'a dyn Replay,
     names: Vec<String>,
     known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
-    /// Fine less rough at the anchor, by record.
-    difference: Mutex<Option<Arc<Vec<Bins>>>>,
+    anchor: Mutex<Option<Anchor>>,
     replays: Mutex<usize>,
 }
 
@@ -81,7 +87,7 @@ impl<'a> Forward<'a> {
             replay,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
-            difference: Mutex::default(),
+            anchor: Mutex::default(),
             replays: Mutex::default(),
         })
     }
@@ -161,10 +167,13 @@ impl<'a> Forward<'a> {
     /// # Errors
     /// When the column cannot be replayed.
     pub fn anchor(&self, tables: &[Table]) -> Result<()> {
-        let fine = self.fine(tables)?;
-        let mut difference: Vec<Bins> = self.motions(tables)?.iter().map(negative).collect();
-        add(&mut difference, &self.spectra_of(fine)?);
-        *lock(&self.difference) = Some(Arc::new(difference));
+        let key = key(&self.shaken(tables));
+        if lock(&self.anchor).as_ref().is_some_and(|anchor| anchor.key == key) {
+            return Ok(());
+        }
+        let mut difference = self.spectra_of(self.fine(tables)?)?;
+        add(&mut difference, &self.motions(tables)?, -1.0);
+        *lock(&self.anchor) = Some(Anchor { key, difference: Arc::new(difference) });
         Ok(())
     }
 
@@ -174,10 +183,10 @@ impl<'a> Forward<'a> {
     /// When an effect cannot be built or the column cannot be replayed.
     pub fn predict(&self, tables: &[Table]) -> Result<Prediction> {
         let rough = self.motions(tables)?;
-        let difference = lock(&self.difference).clone();
+        let difference = lock(&self.anchor).as_ref().map(|anchor| anchor.difference.clone());
         let Some(difference) = difference else { return self.recorded(tables, &rough) };
         let mut motions = rough.to_vec();
-        add(&mut motions, &difference);
+        add(&mut motions, &difference, 1.0);
         self.recorded(tables, &motions)
     }
 
@@ -305,14 +314,15 @@ impl<'a> Forward<'a> {
     }
 }
 
-fn negative(bins: &Bins) -> Bins {
-    bins.iter().map(|by_bin| by_bin.iter().map(|b| -b).collect()).collect()
+fn add(to: &mut [Bins], from: &[Bins], factor: f64) {
+    for (to, from) in to.iter_mut().flatten().flatten().zip(from.iter().flatten().flatten()) {
+        *to += from * factor;
+    }
 }
 
-fn add(to: &mut [Bins], from: &[Bins]) {
-    for (to, from) in to.iter_mut().flatten().flatten().zip(from.iter().flatten().flatten()) {
-        *to += from;
-    }
+/// The channels that the sensors of a prediction are taken to be recorded on.
+pub fn channels(prediction: &Prediction) -> &[usize] {
+    prediction.first().map_or(&[], |p| &p.channels)
 }
 
 /// What is declared, and `tables` on top of it.
@@ -325,7 +335,7 @@ pub fn built(problem: &Problem, tables: &[Table]) -> Result<Vec<Box<dyn Effect>>
 }
 
 /// What tells one state of the column from another.
-pub fn key(tables: &[Table]) -> String {
+fn key(tables: &[Table]) -> String {
     tables.iter().map(|t| format!("{t};")).collect()
 }
 

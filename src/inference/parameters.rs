@@ -166,7 +166,7 @@ impl Declared {
     /// Coordinates that at `z` do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
     /// declared cannot stand in for it.
     fn same_as(&self, effect: &Instance, z: &[f64]) -> Vec<(usize, f64)> {
-        let own = |o: &Tolerance| o.instance.is_same(effect) && o.instance.is_alike(effect);
+        let own = |o: &Tolerance| o.instance.is_one(effect);
         if let Some(i) = self.others.iter().position(own) {
             let at = self.n_mode() + i;
             let ends = [0.5, -0.5].map(|h| self.others[i].coordinate(z[at] + h * STEP));

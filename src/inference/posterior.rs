@@ -2,7 +2,7 @@
 
 use super::algebra::{inverse, ln_determinant, solved};
 use super::convention;
-use super::forward::{Forward, Prediction, lock};
+use super::forward::{Forward, Prediction, channels, lock};
 use super::parameters::Model;
 use super::weights::{self, Rows, Spread, Weights, band_hz};
 use crate::error::Result;
@@ -64,6 +64,8 @@ impl Stop {
     const ON_THE_WAY: Self = Self { steps: 10, gain: 0.5, is_exact: false };
     /// Where carried slopes see nothing to be gained any more.
     pub const CLOSE: Self = Self { steps: STEPS, gain: CONVERGED, is_exact: false };
+    /// At once: what is known of the model where it is.
+    pub const WHERE_IT_IS: Self = Self { steps: 0, ..Self::CLOSE };
 }
 
 /// What fits models.
@@ -137,12 +139,11 @@ impl<'a> Fitter<'a> {
     }
 
     fn weights(&self, prediction: &Prediction) -> Arc<Weights> {
-        let channels = prediction.first().map(|p| p.channels.clone()).unwrap_or_default();
+        let taken = channels(prediction);
         let mut known = lock(&self.weights);
-        let is_reference = self.reference.first().is_some_and(|p| p.channels == channels);
-        let of = if is_reference { &self.reference } else { prediction };
+        let of = if channels(&self.reference) == taken { &self.reference } else { prediction };
         let made = || Arc::new(Weights::new(self.forward, &self.spread, of));
-        known.entry(channels).or_insert_with(made).clone()
+        known.entry(taken.to_vec()).or_insert_with(made).clone()
     }
 
     /// Residuals of a prediction, and −ln of the density where they are nothing.
@@ -312,10 +313,10 @@ impl<'a> Fitter<'a> {
                 r if r < TRUSTED[0] => 0.35 * radius,
                 _ => radius,
             };
-            let known: Vec<Option<Arc<Rows>>> = slopes.iter().cloned().map(Some).collect();
             match found {
                 Some(found) if ratio > TRUSTED[1] => {
                     at = found;
+                    let known: Vec<Option<Arc<Rows>>> = slopes.into_iter().map(Some).collect();
                     slopes = self.slopes(&model, &at, &known);
                     is_fresh = false;
                 }
@@ -373,7 +374,8 @@ pub fn combined(one: &Rows, other: &Rows, a: f64, b: f64) -> Rows {
     one.iter().zip(other).map(of).collect()
 }
 
-fn square(rows: &Rows) -> f64 {
+/// Σ r² over all residuals.
+pub fn square(rows: &Rows) -> f64 {
     rows.iter().flatten().map(|r| r * r).sum()
 }
 

@@ -101,9 +101,10 @@ struct Record {
 ///
 /// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. m is the declared error
 /// of the column, a share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of
-/// [`ALIKE_OCTAVES`] and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of anything smooth than a
-/// likelihood with that correlation would; the determinant is that of the correlated error, which broadens one direction of the N. Where the field strays from its base only amplitudes tell of the column: (2), A being the
-/// RMS amplitude of a band of n bins and R the number of records times that of the bands that share the error.
+/// [`ALIKE_OCTAVES`] and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of
+/// anything smooth than a likelihood with that correlation would; the determinant is that of the correlated error, which broadens one
+/// direction of the N. Where the field strays from its base only amplitudes tell of the column: (2), A being the RMS amplitude of a band
+/// of n bins and R the number of records times that of the bands that share the error.
 ///
 /// Σ is made of what was recorded and does not change with the prediction. So a prediction gains nothing by shrinking, and models that
 /// are compared are compared by one Σ. Cross terms between sensors are those of noise of the base alone.

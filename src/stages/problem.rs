@@ -83,11 +83,13 @@ impl<'a> Bench<'a> {
         events: Vec<(Split, Vec<Record>)>,
     ) -> Result<Self> {
         let rough = roughened(sections.clone(), diagnose);
-        let converged = meshed(sections.clone(), PER_WAVE, diagnose.band_hz[1]);
-        let sections = refined(sections, diagnose);
+        let declared = sections;
+        let sections = refined(declared.clone(), diagnose);
         // What is sought in soil is not to make up for what elements leave wrong.
         let fine = match diagnose.method {
-            Method::Competition => ColumnSections { site: converged.site, ..sections.clone() },
+            Method::Competition => {
+                ColumnSections { site: meshed(declared, PER_WAVE, diagnose.band_hz[1]).site, ..sections.clone() }
+            }
             Method::Search => sections.clone(),
         };
         let noise: Vec<_> =
