@@ -198,7 +198,7 @@ impl<'a> Competition<'a> {
         let lowest = costs.iter().copied().fold(f64::INFINITY, f64::min);
         for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
             if i == 0 || cost < lowest + FAR || is_same_set(&fit.model.effects, &own) {
-                self.fits.push(self.fitter.fit(Start::at(fit.model, fit.x), Stop::CLOSE)?);
+                self.fits.push(self.fitter.fit(Start::weighed_anew(fit), Stop::CLOSE)?);
             }
         }
         // What was found beside other models may be found anew; what leads away from it does so by any weights.

@@ -177,6 +177,11 @@ impl<'a> Forward<'a> {
         Ok(())
     }
 
+    /// What few elements and long steps leave wrong at the anchor, by record: nothing before there is one.
+    pub fn numerical_error(&self) -> Option<Arc<Vec<Bins>>> {
+        lock(&self.anchor).as_ref().map(|anchor| anchor.difference.clone())
+    }
+
     /// What every sensor records under `tables` on top of what is declared.
     ///
     /// # Errors

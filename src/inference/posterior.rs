@@ -16,6 +16,10 @@ use std::sync::{Arc, Mutex};
 const STEPS: usize = 30;
 /// Expected gain below which a fit has converged, nats.
 const CONVERGED: f64 = 0.2;
+/// Change of ln of the evidence by slopes taken anew below which they are right.
+const STILL: f64 = 0.5;
+/// Length of the displacements along which slopes are taken, posterior standard deviations.
+const SHARE: f64 = 0.5;
 /// Share of the expected gain that a step must bring for its slopes to be trusted again, and to be taken at all.
 const TRUSTED: [f64; 2] = [0.3, 0.02];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
@@ -44,6 +48,8 @@ pub struct Fit<'a> {
     pub slopes: Vec<Arc<Rows>>,
     /// Normal equations: information on the coordinates, and in the last row and column the right-hand side.
     pub g: Mat<f64>,
+    /// Displacements along which the slopes were taken here, column by column; none where they were carried here.
+    pub along: Option<Mat<f64>>,
 }
 
 /// When a fit ends.
@@ -88,18 +94,25 @@ pub struct Start<'a> {
     pub x: Vec<f64>,
     /// Slopes that are known already, by coordinate.
     pub slopes: Vec<Option<Arc<Rows>>>,
+    /// Displacements along which slopes at `x` are to be taken.
+    pub along: Option<Mat<f64>>,
 }
 
 impl<'a> Start<'a> {
     /// From `x`.
     pub fn at(model: Model<'a>, x: Vec<f64>) -> Self {
-        Self { model, x, slopes: Vec::new() }
+        Self { model, x, slopes: Vec::new(), along: None }
     }
 
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
-        let Fit { model, x, slopes, .. } = found;
-        Self { model, x, slopes: slopes.into_iter().map(Some).collect() }
+        let Fit { model, x, slopes, along, .. } = found;
+        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), along }
+    }
+
+    /// From the fit `found`, its slopes taken anew by other weights.
+    pub fn weighed_anew(found: Fit<'a>) -> Self {
+        Self { slopes: Vec::new(), ..Self::from(found) }
     }
 }
 
@@ -181,6 +194,80 @@ impl<'a> Fitter<'a> {
         let mut slopes: Vec<Arc<Rows>> = (0..model.len()).map(of).collect();
         Self::join(&same, &mut slopes);
         slopes
+    }
+
+    /// Displacements along which slopes are taken where `slopes` are known to be about right.
+    ///
+    /// ```text
+    /// A⁻¹ restricted to what is replayed = D U Λ Uᵀ D,   δ_k = s √λ_k A⁻¹ [A⁻¹]⁻¹ D u_k                  (1)
+    /// ```
+    ///
+    /// D are the prior standard deviations, s is [`SHARE`], and what is not replayed goes along as the records ask. A difference is wrong
+    /// by a share of its own size. Taken coordinate by coordinate, the difference of two that do nearly the same is lost in that; taken
+    /// along the principal axes of the posterior, what changes records little is known as well as what changes them much.
+    fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Mat<f64>> {
+        let (prior, bounds, n) = (model.prior(), model.bounds(), model.len());
+        let same = model.same(&at.x);
+        let own: Vec<usize> = (0..n).filter(|i| !same.iter().any(|(effect, _)| effect == i)).collect();
+        let replayed: Vec<usize> = (0..own.len()).filter(|k| model.is_replayed(own[*k])).collect();
+        let a = information(model, &self.normal(slopes, &at.rows));
+        let c = inverse(&Mat::from_fn(own.len(), own.len(), |i, j| a[(own[i], own[j])]))?;
+        let deviation = |k: usize| prior[own[replayed[k]]][1];
+        let p = replayed.len();
+        let scaled = Mat::from_fn(p, p, |i, j| c[(replayed[i], replayed[j])] / (deviation(i) * deviation(j)));
+        let axes = scaled.self_adjoint_eigen(Side::Lower).ok()?;
+        let mut along = Mat::zeros(n, p);
+        for k in 0..p {
+            let lambda = axes.S()[k].max(f64::MIN_POSITIVE);
+            let pulled: Vec<f64> = (0..p).map(|i| axes.U()[(i, k)] / (deviation(i) * lambda.sqrt())).collect();
+            let moved: Vec<f64> =
+                (0..own.len()).map(|i| SHARE * (0..p).map(|j| c[(i, replayed[j])] * pulled[j]).sum::<f64>()).collect();
+            // To the side on which bounds leave more room.
+            let room = |sign: f64| {
+                let of = |(i, d): (&usize, &f64)| {
+                    let end = if sign * d > 0.0 { bounds[*i][1] } else { bounds[*i][0] };
+                    if *d == 0.0 { 1.0 } else { ((end - at.x[*i]) / (sign * d)).max(0.0) }
+                };
+                own.iter().zip(&moved).map(of).fold(1.0, f64::min)
+            };
+            let [up, down] = [room(1.0), room(-1.0)];
+            let share = if up >= down { up } else { -down };
+            own.iter().zip(&moved).for_each(|(i, d)| along[(*i, k)] = share * d);
+        }
+        Some(along)
+    }
+
+    /// Slopes by replays `along` displacements of what is replayed, and by each of the other coordinates.
+    fn slopes_along(&self, model: &Model<'a>, at: &Point, along: &Mat<f64>) -> Option<Vec<Arc<Rows>>> {
+        let same = model.same(&at.x);
+        let nothing = Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
+        let is_same = |i: usize| same.iter().any(|(effect, _)| *effect == i);
+        let replayed: Vec<usize> = (0..model.len()).filter(|i| model.is_replayed(*i) && !is_same(*i)).collect();
+        let is_along = |i: usize| replayed.contains(&i);
+        let of = |i: usize| if is_along(i) || is_same(i) { None } else { self.slope(model, at, i) };
+        let mut slopes: Vec<Arc<Rows>> = (0..model.len()).map(|i| of(i).unwrap_or_else(|| nothing.clone())).collect();
+        let p = replayed.len();
+        let moved = Mat::from_fn(p, p, |i, k| along[(replayed[i], k)]);
+        let back = moved.partial_piv_lu().solve(Mat::<f64>::identity(p, p));
+        if !(0..p).all(|i| (0..p).all(|j| back[(i, j)].is_finite())) {
+            return None;
+        }
+        let mut changes: Vec<Rows> = Vec::with_capacity(p);
+        for k in 0..p {
+            let beside: Vec<f64> = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
+            let mut change = combined(&self.point(model, beside).ok()?.rows, &at.rows, 1.0, -1.0);
+            for i in (0..model.len()).filter(|i| !is_along(*i) && along[(*i, k)] != 0.0) {
+                change = combined(&change, &slopes[i], 1.0, -along[(i, k)]);
+            }
+            changes.push(change);
+        }
+        for (j, i) in replayed.iter().enumerate() {
+            let start = combined(&nothing, &nothing, 0.0, 0.0);
+            let slope = changes.iter().enumerate().fold(start, |sum, (k, r)| combined(&sum, r, 1.0, back[(k, j)]));
+            slopes[*i] = Arc::new(slope);
+        }
+        Self::join(&same, &mut slopes);
+        Some(slopes)
     }
 
     /// Gives effects that do what declared values do the slopes of those: data cannot tell the two, and no error of a finite difference
@@ -281,16 +368,16 @@ impl<'a> Fitter<'a> {
     }
 
     /// Fits from `start`: Gauss–Newton steps within a trust region. Slopes are carried along and learn from every step; where they lead
-    /// no further they are taken anew.
+    /// no further they are taken anew, until what they say of the evidence stands still.
     ///
     /// # Errors
     /// When the column cannot be replayed at the start.
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
-        let Start { model, x, slopes: known } = start;
+        let Start { model, x, slopes: known, mut along } = start;
         let mut at = self.point(&model, x)?;
-        let is_taken_here = |i: usize| !model.is_replayed(i) || known.get(i).is_none_or(Option::is_none);
-        let mut is_fresh = (0..model.len()).all(is_taken_here);
-        let mut slopes = self.slopes(&model, &at, &known);
+        let taken = along.as_ref().filter(|_| known.is_empty()).and_then(|along| self.slopes_along(&model, &at, along));
+        let mut slopes = taken.unwrap_or_else(|| self.slopes(&model, &at, &known));
+        let mut is_fresh = along.is_some();
         let mut radius = RADIUS[0];
         for _ in 0..stop.steps {
             let g = self.normal(&slopes, &at.rows);
@@ -318,11 +405,15 @@ impl<'a> Fitter<'a> {
                     at = found;
                     let known: Vec<Option<Arc<Rows>>> = slopes.into_iter().map(Some).collect();
                     slopes = self.slopes(&model, &at, &known);
-                    is_fresh = false;
+                    (is_fresh, along) = (false, None);
                 }
                 _ if !is_fresh => {
-                    slopes = self.slopes(&model, &at, &[]);
-                    is_fresh = true;
+                    along = self.principal(&model, &at, &slopes);
+                    let taken = along.as_ref().and_then(|along| self.slopes_along(&model, &at, along));
+                    let taken = taken.unwrap_or_else(|| self.slopes(&model, &at, &[]));
+                    let evidence = |slopes: &[Arc<Rows>]| occam(&model, &at.x, &self.normal(slopes, &at.rows));
+                    is_fresh = (evidence(&taken) - evidence(&slopes)).abs() < STILL;
+                    slopes = taken;
                 }
                 _ => {}
             }
@@ -330,7 +421,8 @@ impl<'a> Fitter<'a> {
         let g = self.normal(&slopes, &at.rows);
         let cost = self.cost(&model, &at);
         let Point { x, prediction, rows, .. } = at;
-        Ok(Fit { model, x, prediction, rows, cost, slopes, g })
+        let along = along.filter(|_| is_fresh);
+        Ok(Fit { model, x, prediction, rows, cost, slopes, g, along })
     }
 }
 
@@ -544,8 +636,34 @@ mod tests {
                     fitter.nll(&fitter.predict(&model, &beside).unwrap())
                 };
                 let found = (beside(1e-4) - beside(-1e-4)) / 2e-4;
-                // Slopes are differences over a fifth of a prior deviation.
                 assert!((found - expected).abs() < 0.1 * size, "{found} {expected} {size}");
+            }
+        });
+    }
+
+    #[test]
+    fn slopes_along_principal_axes_are_those_of_coordinates() {
+        let problem = problem(&Truth { soil: [204.0, 0.022], ..Truth::default() });
+        fitted(&problem, &["small_strain_damping"], |fit, fitter| {
+            let model = &fit.model;
+            let at = fitter.point(model, fit.x.clone()).unwrap();
+            let by_coordinate = fitter.slopes(model, &at, &[]);
+            let along = fitter.principal(model, &at, &by_coordinate).unwrap();
+            let slopes = fitter.slopes_along(model, &at, &along).unwrap();
+            let size = |i: usize| square(&by_coordinate[i]).sqrt() * model.prior()[i][1];
+            let largest = (0..model.len()).map(size).fold(0.0, f64::max);
+            for (i, (a, b)) in slopes.iter().zip(&by_coordinate).enumerate() {
+                let missed = square(&combined(a, b, 1.0, -1.0)).sqrt() * model.prior()[i][1];
+                assert!(missed < 0.02 * largest + 0.1 * size(i), "{i}: {missed} of {} and {largest}", size(i));
+            }
+            // What a displacement does is what the slopes say of it, however little that is.
+            for k in 0..along.ncols() {
+                let beside = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
+                let found = combined(&fitter.point(model, beside).unwrap().rows, &at.rows, 1.0, -1.0);
+                let nothing = combined(&found, &found, 0.0, 0.0);
+                let said = (0..model.len()).fold(nothing, |sum, i| combined(&sum, &slopes[i], 1.0, along[(i, k)]));
+                let missed = square(&combined(&found, &said, 1.0, -1.0)).sqrt();
+                assert!(missed < 1e-6 * square(&found).sqrt() + 1e-9, "{k}: {missed}");
             }
         });
     }

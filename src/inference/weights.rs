@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::f64::consts::{LN_2, SQRT_2};
 use std::ops::Range;
+use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -45,6 +46,8 @@ pub struct Spread {
     pub coherence: Vec<Vec<f64>>,
     /// What all records share of the residual of each output sensor, by frequency.
     pub repeatable: Vec<Vec<Shared>>,
+    /// Power of what elements and steps leave wrong of the motion of each output sensor, `[record][sensor][bin]`.
+    numerical: Arc<Vec<Vec<Vec<f64>>>>,
 }
 
 /// What all records share of a residual at one frequency.
@@ -79,9 +82,9 @@ struct Bin {
     recorded: C64,
     predicted: C64,
     base: C64,
-    /// Power of the sensor's noise, and of that of the input sensor as the column passes it on.
+    /// Power of the sensor's noise, and of that of the input sensor as the column passes it on with what elements and steps leave wrong.
     noise: f64,
-    passed_noise: f64,
+    predicted_noise: f64,
 }
 
 /// Weights of one record.
@@ -95,11 +98,12 @@ struct Record {
 /// Residuals in units of what is expected of them.
 ///
 /// ```text
-/// Y | U ~ CN( C Ŷ, Σ ),   Σ = (I − C²) ⟨|Y|²⟩ + S_out + H S_in Hᴴ + D,   D = (σ m)² N ⟨|Y − U|²⟩        (1)
+/// Y | U ~ CN( C Ŷ, Σ ),   Σ = (I − C²) ⟨|Y|²⟩ + S_out + H S_in Hᴴ + E + D,   D = (σ m)² N ⟨|Y − U|²⟩    (1)
 /// ln A | U ~ N( ln Â, 1/4n + (σ m)² R ),   weighted by the share of (I − C²) ⟨|Y|²⟩ in Σ without D         (2)
 /// ```
 ///
-/// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. m is the declared error
+/// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. E is what elements and
+/// steps leave wrong of the motion: the power of the difference of a fine replay and a rough one. m is the declared error
 /// of the column, a share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of
 /// [`ALIKE_OCTAVES`] and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of
 /// anything smooth than a likelihood with that correlation would; the determinant is that of the correlated error, which broadens one
@@ -182,6 +186,22 @@ fn noise(forward: &Forward<'_>, at: At, channel: usize) -> Vec<f64> {
     running_mean(&power, half).into_iter().map(|recorded| white.min(recorded).max(f64::MIN_POSITIVE)).collect()
 }
 
+/// Power of what elements and steps leave wrong, `[record][sensor][bin]`: the difference of the replays at the anchor.
+fn numerical_powers(forward: &Forward<'_>) -> Vec<Vec<Vec<f64>>> {
+    let error = forward.numerical_error();
+    let n_sensor = forward.problem.array.outputs.len();
+    let of = |(i, at): (usize, &At)| -> Vec<Vec<f64>> {
+        let f = forward.frequencies_hz(*at);
+        let half = spectra::smoothing_bins(f);
+        let sensor = |s: usize| match &error {
+            Some(error) => running_mean(&powers(&error[i][s]), half),
+            None => vec![0.0; f.len()],
+        };
+        (0..n_sensor).map(sensor).collect()
+    };
+    forward.records.iter().enumerate().map(of).collect()
+}
+
 /// Transfer functions of the outputs over the base.
 fn gains(predicted: &Predicted, half: usize) -> Bins {
     let narrow = |x: Vec<f64>| running_mean(&x, RESOLUTION.min(half));
@@ -222,12 +242,14 @@ impl Spread {
         let gain: Vec<Bins> = prediction.iter().map(|p| gains(p, RESOLUTION)).collect();
         let by_sensor = |(at, p): (&At, &Predicted)| p.channels.iter().map(|c| noise(forward, *at, *c)).collect();
         let noises: Vec<Vec<Vec<f64>>> = forward.records.iter().zip(prediction).map(by_sensor).collect();
+        let numerical = Arc::new(numerical_powers(forward));
         let (mut coherence, mut repeatable) = (Vec::new(), Vec::new());
         for s in 0..n_sensor {
             // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of bins, by band.
             let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
             let each = |of: &mut dyn FnMut(Bin)| {
-                for (((at, p), gain), noises) in forward.records.iter().zip(prediction).zip(&gain).zip(&noises) {
+                let records = forward.records.iter().zip(prediction).zip(&gain).zip(&noises).zip(&*numerical);
+                for ((((at, p), gain), noises), numerical) in records {
                     let total: f64 = powers(&p.measured[s]).iter().sum::<f64>().max(f64::MIN_POSITIVE);
                     for (k, f_hz) in forward.frequencies_hz(*at).iter().enumerate() {
                         of(Bin {
@@ -238,7 +260,7 @@ impl Spread {
                             predicted: p.outputs[s][k],
                             base: p.base[k],
                             noise: noises[s + 1][k],
-                            passed_noise: gain[s][k].norm_sqr() * noises[0][k],
+                            predicted_noise: gain[s][k].norm_sqr() * noises[0][k] + numerical[s][k],
                         });
                     }
                 }
@@ -246,7 +268,7 @@ impl Spread {
             each(&mut |bin| {
                 let m = &mut moments[bin.band];
                 m.0 += bin.weight * (bin.recorded.norm_sqr() - bin.noise);
-                m.1 += bin.weight * (bin.predicted.norm_sqr() - bin.passed_noise);
+                m.1 += bin.weight * (bin.predicted.norm_sqr() - bin.predicted_noise);
                 m.2 += bin.recorded * bin.predicted.conj() * bin.weight;
                 m.3 += 1.0;
             });
@@ -269,7 +291,7 @@ impl Spread {
                 m.0 += (bin.recorded - c * bin.predicted) * added.conj() * w;
                 m.1 += w * added.norm_sqr();
                 let strays = (1.0 - c * c) * bin.recorded.norm_sqr();
-                m.2 += w * w * added.norm_sqr() * (bin.noise + bin.passed_noise + strays);
+                m.2 += w * w * added.norm_sqr() * (bin.noise + bin.predicted_noise + strays);
             });
             let mut places = Vec::new();
             for (k, (cross, square, strays)) in shared.into_iter().enumerate().filter(|(_, m)| m.1 > 0.0) {
@@ -279,7 +301,7 @@ impl Spread {
             coherence.push(own);
             repeatable.push(places);
         }
-        Self { level: Self::level(&repeatable, model, 1.0), coherence, repeatable }
+        Self { level: Self::level(&repeatable, model, 1.0), coherence, repeatable, numerical }
     }
 
     /// Error of the column over the declared one when all that records share counts, also what is no error of a column: the solution σ
@@ -326,7 +348,7 @@ pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &
     let mut sums = [0.0; 3];
     let ends = band_hz(forward);
     let half_hz = 0.5 * resolution_hz(forward);
-    for (at, p) in forward.records.iter().zip(prediction) {
+    for ((at, p), numerical) in forward.records.iter().zip(prediction).zip(&*spread.numerical) {
         let gain = gains(p, RESOLUTION);
         let input = noise(forward, *at, p.channels[0]);
         for (s, y) in p.measured.iter().enumerate() {
@@ -337,7 +359,7 @@ pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &
                 let place = spread.repeatable[s].partition_point(|shared| shared.f_hz + half_hz < *f);
                 let shared = spread.repeatable[s].get(place).map_or(0.0, |s| s.delta.norm_sqr() - s.chance);
                 let same = shared * (p.outputs[s][k] - p.base[k]).norm_sqr();
-                let expected = noise[k] + gain[s][k].norm_sqr() * input[k];
+                let expected = noise[k] + gain[s][k].norm_sqr() * input[k] + numerical[s][k];
                 sums[0] += same / total;
                 sums[1] += ((y[k] - c * p.outputs[s][k]).norm_sqr() - expected - same) / total;
                 sums[2] += y[k].norm_sqr() / total;
@@ -394,7 +416,8 @@ impl Weights {
         // Values of the column's error that are one.
         let alike = |k: usize| (f[k] * ((LN_2 * ALIKE_OCTAVES).exp() - 1.0) / step_hz).max(1.0) * n_record;
         let own = |s: usize, k: usize| level * level * alike(k) * added[s][k];
-        let plain = |s: usize, k: usize| (noise[s + 1][k] + strays(s, k)).max(f64::MIN_POSITIVE);
+        let numerical = &spread.numerical[index];
+        let plain = |s: usize, k: usize| (noise[s + 1][k] + strays(s, k) + numerical[s][k]).max(f64::MIN_POSITIVE);
         let covariance = |k: usize, of: &dyn Fn(usize) -> f64| {
             Covariance::new((0..n_sensor).map(of).collect(), gain.iter().map(|h| h[k]), noise[0][k])
         };
@@ -407,7 +430,7 @@ impl Weights {
         let band = |s: usize, bins: Range<usize>| {
             let n = bins.len() as f64;
             let sum = |of: &dyn Fn(usize) -> f64| bins.clone().map(of).sum::<f64>();
-            let noisy = sum(&|k| noise[s + 1][k] + gain[s][k].norm_sqr() * noise[0][k]);
+            let noisy = sum(&|k| noise[s + 1][k] + gain[s][k].norm_sqr() * noise[0][k] + numerical[s][k]);
             let stray = sum(&|k| strays(s, k));
             let share = stray / (stray + noisy).max(f64::MIN_POSITIVE);
             let alike = n_record * ALIKE_OCTAVES * AN_OCTAVE;
