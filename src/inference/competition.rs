@@ -257,9 +257,10 @@ impl<'a> Competition<'a> {
     fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, point: &Fit<'a>, is_far: bool) -> Vec<Fit<'a>> {
         let mut proposals = self.proposals(by, point, is_far);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
-        // A pair that holds what a single one holds is always as good before it is fitted.
+        // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
+        // comes on top of a pair is sought when one of the two is in the model.
         let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
-        let pairs = if is_far { Vec::new() } else { distinct(pairs) };
+        let pairs = if is_far || base.is_strained() { Vec::new() } else { distinct(pairs) };
         let fitted = |set: Proposal| {
             let mut effects = base.model.effects.clone();
             effects.extend(set.parts.iter().map(|part| part.instance.clone()));

@@ -4,8 +4,9 @@
 //! |----------------------------------|---------------------------|--------------------------------------------------|
 //! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`COMMON_VELOCITY_LN`] for all together |
 //! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` and [`DAMPING_RATIO`] |
-//! | reference strain                 | standard deviations       | N(0, 1), [`NONLINEARITY_LN`]                     |
+//! | reference strain, curvature, hysteresis | standard deviations | N(0, 1), [`NONLINEARITY_LN`], [`CURVATURE_LN`], [`HYSTERESIS_LN`] |
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
+//! | what other programs make of the column's damping | standard deviations | N(0, 1), one convention of each kind (`convention`) |
 //! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
 
@@ -19,6 +20,12 @@ use toml::Table;
 
 /// Prior standard deviation of the ln of a reference strain.
 pub const NONLINEARITY_LN: f64 = 0.15;
+/// The same of the curvature of a backbone and of the damping of its loops: curves of one soil scatter in shape as they do in reference
+/// strain, by a third of what counts as an effect.
+///
+/// Source: Darendeli (2001), chapter 10, for the scatter of curves around their means, which is larger.
+pub const CURVATURE_LN: f64 = 0.05;
+pub const HYSTERESIS_LN: f64 = 0.1;
 /// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
 pub const COMMON_VELOCITY_LN: f64 = 0.01;
 /// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
@@ -51,9 +58,9 @@ pub struct Tolerance {
 }
 
 impl Tolerance {
-    fn new(kind: &'static str, target: &[(&str, toml::Value)], deviation: f64) -> Result<Self> {
-        let none = || Error::new(format!("effect `{kind}` has no strength to be a tolerance"));
-        let parameter = effects::find(kind)?.catalogue.parameters.first().ok_or_else(none)?;
+    fn new(kind: &'static str, name: &str, target: &[(&str, toml::Value)], deviation: f64) -> Result<Self> {
+        let none = || Error::new(format!("effect `{kind}` has no `{name}` to be a tolerance"));
+        let parameter = effects::find(kind)?.catalogue.parameters.iter().find(|p| p.name == name).ok_or_else(none)?;
         let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
         let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
         Ok(Self { instance: Instance { kind, target, free }, deviation, absolute: 0.0 })
@@ -97,16 +104,22 @@ impl Declared {
         let (array, t) = (&problem.array, &problem.tolerances);
         let cuts_m = ranges(array);
         let modes = modes(array, &cuts_m, t.vs_ln);
-        let mut others = vec![damping(array, t.damping_ln)?, Tolerance::new("nonlinearity", &[], NONLINEARITY_LN)?];
+        let curve = |kind, name, deviation| Tolerance::new(kind, name, &[], deviation);
+        let mut others = vec![
+            damping(array, t.damping_ln)?,
+            curve("nonlinearity", "ln_gamma_ref", NONLINEARITY_LN)?,
+            curve("curve_shape", "ln_curvature", CURVATURE_LN)?,
+            curve("curve_shape", "ln_hysteresis", HYSTERESIS_LN)?,
+        ];
         for sensor in array.sensors() {
             let target = [("sensor", sensor.into())];
-            others.push(Tolerance::new("sensor_gain", &target, t.gain_ln)?);
-            others.push(Tolerance::new("clock_offset", &target, t.clock_s)?);
+            others.push(Tolerance::new("sensor_gain", "ln_gain", &target, t.gain_ln)?);
+            others.push(Tolerance::new("clock_offset", "offset_s", &target, t.clock_s)?);
             if sensor != array.input {
-                others.push(Tolerance::new("sensor_depth", &target, t.depth_m)?);
+                others.push(Tolerance::new("sensor_depth", "offset_m", &target, t.depth_m)?);
             }
             if array.components.len() > 1 {
-                others.push(Tolerance::new("sensor_orientation", &target, t.orientation_deg)?);
+                others.push(Tolerance::new("sensor_orientation", "azimuth_deg", &target, t.orientation_deg)?);
             }
         }
         // What has nothing to act on in this column is no tolerance of it.
@@ -297,7 +310,7 @@ fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
     let fundamental_hz = 0.25 / array.profile.travel_time_s();
     let ratio = Column::new(&array.profile, &Analysis::default())?.small_strain_damping_ratio(fundamental_hz);
     let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
-    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", &[], damping_ln)? })
+    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)? })
 }
 
 /// Depth modes of ln Vs: between every two sensors polynomials of the range's place in order, of as low a degree as the array
