@@ -55,8 +55,8 @@ fn share(cell: &Value, name: &str) -> (u64, u64, [f64; 2]) {
     (number("hits"), number("of"), [0, 1].map(|i| share["ci95"][i].as_f64().expect("a number")))
 }
 
-/// Prints every rate and holds what there is against the targets, alarms of foreign nulls where they are judged.
-fn check(site: &str, cells: &[(&str, i64)], are_foreign_judged: bool) {
+/// Prints every rate and holds what there is against the targets.
+fn check(site: &str, cells: &[(&str, i64)]) {
     let report = report(site, cells, SEED);
     assert_eq!(report["failed"].as_array().map(Vec::len), Some(0), "{}", report["failed"]);
     let mut twins = 0;
@@ -71,8 +71,7 @@ fn check(site: &str, cells: &[(&str, i64)], are_foreign_judged: bool) {
             assert!(!too_many("wrong", 0.01), "{site}, {name}: too many confidently wrong");
             if group == "cells" {
                 twins += share(cell, "right_class").1;
-                let is_judged = are_foreign_judged || !name.starts_with("foreign");
-                assert!(!is_judged || !too_many("null_alarms", 0.05), "{site}, {name}: too many null alarms");
+                assert!(!too_many("null_alarms", 0.05), "{site}, {name}: too many null alarms");
             } else {
                 // Of what outlives recalibration 85 in 100 of the right class, nine in ten intervals: the interval must not lie below. A
                 // handful of twins says nothing of such a rate.
@@ -88,23 +87,17 @@ fn check(site: &str, cells: &[(&str, i64)], are_foreign_judged: bool) {
 
 #[test]
 fn a_thinned_matrix_of_the_small_site_keeps_its_rates() {
-    check("smoke", &[("single", 2), ("null", 2), ("foreign null", 1)], false);
+    check("smoke", &[("single", 2), ("null", 2), ("foreign null", 2)]);
 }
 
 #[test]
 fn a_thinned_matrix_of_the_second_array_keeps_its_rates() {
-    check("second", &[("null", 1)], false);
-}
-
-#[test]
-#[ignore = "the diagnosis takes a foreign law for something undeclared: 2 of 2 foreign nulls of seed 11 are called unknown"]
-fn foreign_truths_alarm_nobody() {
-    check("smoke", &[("foreign null", 2)], true);
+    check("second", &[("null", 1)]);
 }
 
 #[test]
 #[ignore = "all twins: hours on two cores"]
 fn the_whole_matrices_keep_their_rates() {
-    check("smoke", &[], true);
-    check("second", &[], true);
+    check("smoke", &[]);
+    check("second", &[]);
 }

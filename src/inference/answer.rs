@@ -105,13 +105,17 @@ impl<'a> Answer<'_, 'a> {
             !kinds.is_empty() && own >= NOTHING && kinds.iter().all(|kind| included(kind) >= KNOWN)
         };
         let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
-        let answer = sure.unwrap_or(if is_missing { best } else { plain });
-        let rest = self.rest(answer);
-        let verdict = match (is_missing, sure.is_some(), rest.verdict) {
-            (true, true, _) => Verdict::Known,
-            (true, false, _) => Verdict::Ambiguous,
-            (false, _, RestVerdict::Unnamed) => Verdict::Unknown,
-            (false, ..) => Verdict::None,
+        let likely = sure.unwrap_or(if is_missing { best } else { plain });
+        let beside = self.rest(likely);
+        // Where no name is sure and what is surely there has none, names compete for what is not theirs.
+        let is_unknown = sure.is_none() && beside.verdict == RestVerdict::Unnamed;
+        let (answer, is_missing) = if is_unknown { (plain, false) } else { (likely, is_missing) };
+        let rest = if is_unknown { self.rest(plain) } else { beside };
+        let verdict = match (is_unknown, is_missing, sure.is_some()) {
+            (true, ..) => Verdict::Unknown,
+            (_, true, true) => Verdict::Known,
+            (_, true, false) => Verdict::Ambiguous,
+            _ => Verdict::None,
         };
         let mut ambiguity: Vec<String> = Vec::new();
         for (kinds, probability) in mass.iter().filter(|_| verdict == Verdict::Ambiguous) {
