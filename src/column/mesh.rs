@@ -1,7 +1,7 @@
 //! Elements, nodal masses, the geostatic state, and the laws started from it.
 
 use super::features::Around;
-use super::{Profile, Structure, Vertical};
+use super::{Profile, Rayleigh, Structure, Vertical};
 use crate::error::{Error, Result};
 use crate::registry;
 use crate::soil::{Damping, LAWS, Law, Point, Relaxation, relaxations};
@@ -90,14 +90,15 @@ impl Mesh {
         let container = profile.features.container;
         let declared_s = profile.rayleigh.beta_s + law.viscosity_s();
         // Rayleigh damping that gives the law's ratio at f and 5 f of the column.
-        let (w1, w2) = (TAU * self.frequency_hz, 5.0 * TAU * self.frequency_hz);
+        let modes_rad_s = [TAU * self.frequency_hz, 5.0 * TAU * self.frequency_hz];
         for (i, (cut, elastic_pa)) in (first..).zip(cuts.iter().zip(elastic_pa)) {
             let Cut { point, height_m, .. } = cut;
             let ratio = match damping[i - first] {
                 Damping::Rayleigh { ratio } => ratio,
                 Damping::Memory { .. } => 0.0,
             };
-            let alpha_1_s = profile.rayleigh.alpha_1_s + 2.0 * ratio * w1 * w2 / (w1 + w2);
+            let asked = Rayleigh::of_ratio(ratio, modes_rad_s);
+            let alpha_1_s = profile.rayleigh.alpha_1_s + asked.alpha_1_s;
             let soil = 0.5 * point.density_kg_m3 * height_m;
             let half = [soil + 0.5 * container.mass_kg_m2 * height_m / profile.depth_m(), soil];
             for node in i..(i + 2).min(self.mass.len()) {
@@ -113,7 +114,7 @@ impl Mesh {
                 elastic_pa,
                 pore_pa: if point.depth_m > profile.water_table_m { law.pore_stiffness_pa() } else { 0.0 },
                 container_pa: container.stiffness_pa,
-                beta_s: if around.slips() { 0.0 } else { declared_s + 2.0 * ratio / (w1 + w2) },
+                beta_s: if around.slips() { 0.0 } else { declared_s + asked.beta_s },
                 relaxation: relaxations[i - first],
             });
         }

@@ -109,6 +109,19 @@ pub struct Rayleigh {
     pub beta_s: f64,
 }
 
+impl Rayleigh {
+    /// Damping with this ratio at two angular frequencies, rad/s.
+    ///
+    /// ```text
+    /// α = 2 ξ ω₁ω₂/(ω₁ + ω₂),   β = 2 ξ/(ω₁ + ω₂)
+    /// ```
+    ///
+    /// Source: Chopra (2012), Dynamics of Structures, 4th ed., eq. 11.4.10.
+    pub fn of_ratio(ratio: f64, [low, high]: [f64; 2]) -> Self {
+        Self { alpha_1_s: 2.0 * ratio * low * high / (low + high), beta_s: 2.0 * ratio / (low + high) }
+    }
+}
+
 impl Profile {
     /// Depth of the base, m.
     pub fn depth_m(&self) -> f64 {

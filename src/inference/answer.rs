@@ -105,18 +105,20 @@ impl<'a> Answer<'_, 'a> {
             !kinds.is_empty() && own >= NOTHING && kinds.iter().all(|kind| included(kind) >= KNOWN)
         };
         let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
-        let likely = sure.unwrap_or(if is_missing { best } else { plain });
-        let beside = self.rest(likely);
-        // Where no name is sure and what is surely there has none, names compete for what is not theirs.
-        let is_unknown = sure.is_none() && beside.verdict == RestVerdict::Unnamed;
-        let (answer, is_missing) = if is_unknown { (plain, false) } else { (likely, is_missing) };
-        let rest = if is_unknown { self.rest(plain) } else { beside };
-        let verdict = match (is_unknown, is_missing, sure.is_some()) {
-            (true, ..) => Verdict::Unknown,
-            (_, true, true) => Verdict::Known,
-            (_, true, false) => Verdict::Ambiguous,
-            _ => Verdict::None,
+        let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
+        let mut rest = self.rest(answer);
+        let verdict = match (sure, rest.verdict) {
+            (Some(_), _) => Verdict::Known,
+            // Where no name is sure and what is surely there has none, names compete for what is not theirs.
+            (None, RestVerdict::Unnamed) => Verdict::Unknown,
+            (None, _) if is_missing => Verdict::Ambiguous,
+            (None, _) => Verdict::None,
         };
+        if is_missing && verdict == Verdict::Unknown {
+            answer = plain;
+            rest = self.rest(plain);
+        }
+        let is_named = matches!(verdict, Verdict::Known | Verdict::Ambiguous);
         let mut ambiguity: Vec<String> = Vec::new();
         for (kinds, probability) in mass.iter().filter(|_| verdict == Verdict::Ambiguous) {
             for kind in kinds.iter().filter(|_| *probability > NOTHING) {
@@ -128,12 +130,12 @@ impl<'a> Answer<'_, 'a> {
         let range = answer.model.declared.len();
         Diagnosis {
             verdict,
-            effects: if is_missing { self.found(answer) } else { Vec::new() },
+            effects: if is_named { self.found(answer) } else { Vec::new() },
             ambiguity,
             nuisances: plain.model.declared.tables(&plain.x),
             corrected_nuisances: answer.model.declared.tables(&answer.x[..range]),
             candidates: self.candidates(),
-            explained_share: is_missing.then(|| self.explained_share(answer)),
+            explained_share: is_named.then(|| self.explained_share(answer)),
             input_coherent_share: None,
             declared: Default::default(),
             recalibrated: Default::default(),
@@ -394,14 +396,14 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_missing_where_nothing_is_missing() {
+    fn nothing_is_named_where_nothing_is_missing() {
         let found = diagnosed(&Truth { soil: [204.0, 0.022], ..FEW });
         assert_eq!((found.verdict, found.effects.len()), (Verdict::None, 0), "{:?}", found.candidates.first());
         assert_eq!(found.rest.unwrap().verdict, RestVerdict::Noise);
     }
 
     #[test]
-    fn a_late_clock_is_missing_with_an_interval_that_holds() {
+    fn a_late_clock_is_named_with_an_interval_that_holds() {
         let table = "kind = 'clock_offset'\nsensor = 'mid'\noffset_s = 0.025";
         let found = diagnosed(&Truth { table, ..FEW });
         assert_eq!((found.verdict, found.effects.len()), (Verdict::Known, 1), "{:?}", found.candidates);
@@ -420,7 +422,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_is_missing_beside_a_field_that_strays() {
+    fn what_is_known_is_named_beside_a_field_that_strays() {
         let coherence = |f: f64| if f < 1.0 { 0.97 } else { (0.97 - 0.25 * f.ln()).max(0.4) };
         let found = diagnosed(&Truth { soil: [200.0, 0.1], coherence, ..FEW });
         assert_eq!(found.verdict, Verdict::Known, "{:?}", found.candidates);

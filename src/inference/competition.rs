@@ -260,7 +260,7 @@ impl<'a> Competition<'a> {
         // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
         // comes on top of a pair is sought when one of the two is in the model.
         let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
-        let pairs = if is_far || base.is_strained() { Vec::new() } else { distinct(pairs) };
+        let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs) };
         let fitted = |set: Proposal| {
             let mut effects = base.model.effects.clone();
             effects.extend(set.parts.iter().map(|part| part.instance.clone()));

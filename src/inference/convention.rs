@@ -66,20 +66,17 @@ fn change(ours: &[Bins], theirs: &[Bins]) -> Option<Slope> {
 
 /// An effect that makes Rayleigh damping of the damping that laws remember and that does not depend on frequency: the same ratio at the
 /// fundamental frequency of the column and at five times that. `None` where no law has such damping.
-///
-/// ```text
-/// α = 2 ξ ω₁ ω₂/(ω₁ + ω₂),   β = 2 ξ/(ω₁ + ω₂),   ω₂ = 5 ω₁                  (1)
-/// ```
 fn rayleigh(profile: &Profile) -> Result<Option<Table>> {
     let alone = Profile { rayleigh: Rayleigh::default(), ..profile.clone() };
-    let fundamental_hz = 0.25 / alone.travel_time_s();
-    let ratio = (1.0 - LEFT) * Column::new(&alone, &Analysis::default())?.small_strain_damping_ratio(fundamental_hz);
-    let [low, high] = [TAU * fundamental_hz, 5.0 * TAU * fundamental_hz];
+    let column = Column::new(&alone, &Analysis::default())?;
+    let fundamental_hz = column.frequency_hz();
+    let ratio = (1.0 - LEFT) * column.small_strain_damping_ratio(fundamental_hz);
+    let asked = Rayleigh::of_ratio(ratio, [TAU * fundamental_hz, 5.0 * TAU * fundamental_hz]);
     let table = Table::from_iter([
         ("kind".to_string(), "frequency_dependent_damping".into()),
         ("ln_ratio".to_string(), LEFT.ln().into()),
-        ("alpha_1_s".to_string(), (2.0 * ratio * low * high / (low + high)).into()),
-        ("beta_s".to_string(), (2.0 * ratio / (low + high)).into()),
+        ("alpha_1_s".to_string(), asked.alpha_1_s.into()),
+        ("beta_s".to_string(), asked.beta_s.into()),
     ]);
     Ok(effects::build(&table)?.refusal(profile).is_none().then_some(table))
 }

@@ -188,8 +188,7 @@ impl<'a> Forward<'a> {
     /// When an effect cannot be built or the column cannot be replayed.
     pub fn predict(&self, tables: &[Table]) -> Result<Prediction> {
         let rough = self.motions(tables)?;
-        let difference = lock(&self.anchor).as_ref().map(|anchor| anchor.difference.clone());
-        let Some(difference) = difference else { return self.recorded(tables, &rough) };
+        let Some(difference) = self.numerical_error() else { return self.recorded(tables, &rough) };
         let mut motions = rough.to_vec();
         add(&mut motions, &difference, 1.0);
         self.recorded(tables, &motions)

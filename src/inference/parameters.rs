@@ -307,8 +307,8 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
 
 /// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared.
 fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
-    let fundamental_hz = 0.25 / array.profile.travel_time_s();
-    let ratio = Column::new(&array.profile, &Analysis::default())?.small_strain_damping_ratio(fundamental_hz);
+    let column = Column::new(&array.profile, &Analysis::default())?;
+    let ratio = column.small_strain_damping_ratio(column.frequency_hz());
     let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
     Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)? })
 }

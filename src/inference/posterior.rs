@@ -1,5 +1,7 @@
 //! The most probable coordinates of a model, their uncertainty, and the evidence for the model.
 
+mod slopes;
+
 use super::algebra::{inverse, ln_determinant, solved};
 use super::convention;
 use super::forward::{Forward, Prediction, channels, lock};
@@ -18,8 +20,6 @@ const STEPS: usize = 30;
 const CONVERGED: f64 = 0.2;
 /// Change of ln of the evidence by slopes taken anew below which they are right.
 const STILL: f64 = 0.5;
-/// Length of the displacements along which slopes are taken, posterior standard deviations.
-const SHARE: f64 = 0.5;
 /// Share of the expected gain that a step must bring for its slopes to be trusted again, and to be taken at all.
 const TRUSTED: [f64; 2] = [0.3, 0.02];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
@@ -169,151 +169,6 @@ impl<'a> Fitter<'a> {
     pub fn nll(&self, prediction: &Prediction) -> f64 {
         let (rows, constant) = self.rows(prediction);
         0.5 * square(&self.counted(&rows)) + constant
-    }
-
-    /// How residuals change with coordinate `i`; `None` where the column does not finish beside it.
-    fn slope(&self, model: &Model<'a>, at: &Point, i: usize) -> Option<Arc<Rows>> {
-        let step = model.step(&at.x, i);
-        let mut beside = at.x.clone();
-        beside[i] += step;
-        let there = self.point(model, beside).ok()?;
-        Some(Arc::new(combined(&there.rows, &at.rows, 1.0 / step, -1.0 / step)))
-    }
-
-    /// Slopes by replays, those apart that are `known` and would need one.
-    fn slopes(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
-        let same = model.same(&at.x);
-        let nothing = || Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
-        let of = |i: usize| {
-            if same.iter().any(|(effect, _)| *effect == i) {
-                return nothing();
-            }
-            let own = known.get(i).cloned().flatten().filter(|_| model.is_replayed(i));
-            own.or_else(|| self.slope(model, at, i)).unwrap_or_else(nothing)
-        };
-        let mut slopes: Vec<Arc<Rows>> = (0..model.len()).map(of).collect();
-        Self::join(&same, &mut slopes);
-        slopes
-    }
-
-    /// Displacements along which slopes are taken where `slopes` are known to be about right.
-    ///
-    /// ```text
-    /// A⁻¹ restricted to what is replayed = D U Λ Uᵀ D,   δ_k = s √λ_k A⁻¹ [A⁻¹]⁻¹ D u_k                  (1)
-    /// ```
-    ///
-    /// D are the prior standard deviations, s is [`SHARE`], and what is not replayed goes along as the records ask. A difference is wrong
-    /// by a share of its own size. Taken coordinate by coordinate, the difference of two that do nearly the same is lost in that; taken
-    /// along the principal axes of the posterior, what changes records little is known as well as what changes them much.
-    fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Mat<f64>> {
-        let (prior, bounds, n) = (model.prior(), model.bounds(), model.len());
-        let same = model.same(&at.x);
-        let own: Vec<usize> = (0..n).filter(|i| !same.iter().any(|(effect, _)| effect == i)).collect();
-        let replayed: Vec<usize> = (0..own.len()).filter(|k| model.is_replayed(own[*k])).collect();
-        let a = information(model, &self.normal(slopes, &at.rows));
-        let c = inverse(&Mat::from_fn(own.len(), own.len(), |i, j| a[(own[i], own[j])]))?;
-        let deviation = |k: usize| prior[own[replayed[k]]][1];
-        let p = replayed.len();
-        let scaled = Mat::from_fn(p, p, |i, j| c[(replayed[i], replayed[j])] / (deviation(i) * deviation(j)));
-        let axes = scaled.self_adjoint_eigen(Side::Lower).ok()?;
-        let mut along = Mat::zeros(n, p);
-        for k in 0..p {
-            let lambda = axes.S()[k].max(f64::MIN_POSITIVE);
-            let pulled: Vec<f64> = (0..p).map(|i| axes.U()[(i, k)] / (deviation(i) * lambda.sqrt())).collect();
-            let moved: Vec<f64> =
-                (0..own.len()).map(|i| SHARE * (0..p).map(|j| c[(i, replayed[j])] * pulled[j]).sum::<f64>()).collect();
-            // To the side on which bounds leave more room.
-            let room = |sign: f64| {
-                let of = |(i, d): (&usize, &f64)| {
-                    let end = if sign * d > 0.0 { bounds[*i][1] } else { bounds[*i][0] };
-                    if *d == 0.0 { 1.0 } else { ((end - at.x[*i]) / (sign * d)).max(0.0) }
-                };
-                own.iter().zip(&moved).map(of).fold(1.0, f64::min)
-            };
-            let [up, down] = [room(1.0), room(-1.0)];
-            let share = if up >= down { up } else { -down };
-            own.iter().zip(&moved).for_each(|(i, d)| along[(*i, k)] = share * d);
-        }
-        Some(along)
-    }
-
-    /// Slopes by replays `along` displacements of what is replayed, and by each of the other coordinates.
-    fn slopes_along(&self, model: &Model<'a>, at: &Point, along: &Mat<f64>) -> Option<Vec<Arc<Rows>>> {
-        let same = model.same(&at.x);
-        let nothing = Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
-        let is_same = |i: usize| same.iter().any(|(effect, _)| *effect == i);
-        let replayed: Vec<usize> = (0..model.len()).filter(|i| model.is_replayed(*i) && !is_same(*i)).collect();
-        let is_along = |i: usize| replayed.contains(&i);
-        let of = |i: usize| if is_along(i) || is_same(i) { None } else { self.slope(model, at, i) };
-        let mut slopes: Vec<Arc<Rows>> = (0..model.len()).map(|i| of(i).unwrap_or_else(|| nothing.clone())).collect();
-        let p = replayed.len();
-        let moved = Mat::from_fn(p, p, |i, k| along[(replayed[i], k)]);
-        let back = moved.partial_piv_lu().solve(Mat::<f64>::identity(p, p));
-        if !(0..p).all(|i| (0..p).all(|j| back[(i, j)].is_finite())) {
-            return None;
-        }
-        let mut changes: Vec<Rows> = Vec::with_capacity(p);
-        for k in 0..p {
-            let beside: Vec<f64> = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
-            let mut change = combined(&self.point(model, beside).ok()?.rows, &at.rows, 1.0, -1.0);
-            for i in (0..model.len()).filter(|i| !is_along(*i) && along[(*i, k)] != 0.0) {
-                change = combined(&change, &slopes[i], 1.0, -along[(i, k)]);
-            }
-            changes.push(change);
-        }
-        for (j, i) in replayed.iter().enumerate() {
-            let start = combined(&nothing, &nothing, 0.0, 0.0);
-            let slope = changes.iter().enumerate().fold(start, |sum, (k, r)| combined(&sum, r, 1.0, back[(k, j)]));
-            slopes[*i] = Arc::new(slope);
-        }
-        Self::join(&same, &mut slopes);
-        Some(slopes)
-    }
-
-    /// Gives effects that do what declared values do the slopes of those: data cannot tell the two, and no error of a finite difference
-    /// may.
-    fn join(same: &[(usize, Vec<(usize, f64)>)], slopes: &mut [Arc<Rows>]) {
-        for (effect, parts) in same {
-            let nothing = combined(&slopes[*effect], &slopes[*effect], 0.0, 0.0);
-            let sum = parts.iter().fold(nothing, |sum, (i, share)| combined(&sum, &slopes[*i], 1.0, *share));
-            slopes[*effect] = Arc::new(sum);
-        }
-    }
-
-    /// Corrects slopes by what a step did, along it alone.
-    ///
-    /// ```text
-    /// J ← J + (Δr − J δ) δᵀ/(δᵀ δ + τ²)                                      (1)
-    /// ```
-    ///
-    /// τ is [`JITTER`], so that what a short step does by chance is not taken for a slope; δ in prior standard deviations, over the
-    /// coordinates whose slopes are replays; those of sensors are taken anew.
-    ///
-    /// Source: (1) Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6.
-    fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2]) {
-        let prior = model.prior();
-        let same = model.same(&from.x);
-        let mut moved: Vec<f64> = to.x.iter().zip(&from.x).map(|(to, from)| to - from).collect();
-        for (effect, parts) in &same {
-            let own = std::mem::take(&mut moved[*effect]);
-            parts.iter().for_each(|(i, share)| moved[*i] += share * own);
-        }
-        let delta: Vec<f64> = (0..model.len()).map(|i| moved[i] / prior[i][1]).collect();
-        let square: f64 = (0..model.len()).filter(|i| model.is_replayed(*i)).map(|i| delta[i] * delta[i]).sum();
-        if square < 1e-12 {
-            return;
-        }
-        let mut missed = combined(&to.rows, &from.rows, 1.0, -1.0);
-        for (i, slope) in slopes.iter().enumerate() {
-            missed = combined(&missed, slope, 1.0, from.x[i] - to.x[i]);
-        }
-        for (i, slope) in slopes.iter_mut().enumerate() {
-            let factor = delta[i] / ((square + JITTER * JITTER) * prior[i][1]);
-            if model.is_replayed(i) && factor != 0.0 {
-                *slope = Arc::new(combined(slope, &missed, 1.0, factor));
-            }
-        }
-        Self::join(&same, slopes);
     }
 
     /// ½ of the squared distance from the means of the prior.

@@ -22,16 +22,9 @@ pub struct OwnDamping {
 }
 
 impl OwnDamping {
-    /// Coefficients of mass and stiffness, 1/s and s.
-    ///
-    /// ```text
-    /// α = 2 ξ ω₁ω₂/(ω₁ + ω₂),   β = 2 ξ/(ω₁ + ω₂)
-    /// ```
-    ///
-    /// Source: Chopra (2012), Dynamics of Structures, 4th ed., eq. 11.4.10.
+    /// Coefficients of mass and stiffness.
     pub fn rayleigh(&self) -> crate::column::Rayleigh {
-        let [a, b] = self.at_hz.map(|f| std::f64::consts::TAU * f);
-        crate::column::Rayleigh { alpha_1_s: 2.0 * self.ratio * a * b / (a + b), beta_s: 2.0 * self.ratio / (a + b) }
+        crate::column::Rayleigh::of_ratio(self.ratio, self.at_hz.map(|f| std::f64::consts::TAU * f))
     }
 
     /// Refuses values out of range.

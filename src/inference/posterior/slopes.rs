@@ -1,0 +1,166 @@
+//! How residuals change with the coordinates of a model: by coordinate, along the principal axes of the posterior, and by what steps did.
+
+use super::{Fitter, JITTER, Point, combined, information};
+use crate::inference::algebra::inverse;
+use crate::inference::parameters::Model;
+use crate::inference::weights::Rows;
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+use std::sync::Arc;
+
+/// Length of the displacements along which slopes are taken, posterior standard deviations.
+const SHARE: f64 = 0.5;
+
+/// Coordinates that do what declared values do, each with these and how far they go for one unit of it.
+type Same = [(usize, Vec<(usize, f64)>)];
+
+impl<'a> Fitter<'a> {
+    /// How residuals change with coordinate `i`; `None` where the column does not finish beside it.
+    pub(super) fn slope(&self, model: &Model<'a>, at: &Point, i: usize) -> Option<Arc<Rows>> {
+        let step = model.step(&at.x, i);
+        let mut beside = at.x.clone();
+        beside[i] += step;
+        let there = self.point(model, beside).ok()?;
+        Some(Arc::new(combined(&there.rows, &at.rows, 1.0 / step, -1.0 / step)))
+    }
+
+    /// Slopes by replays, those apart that are `known` and would need one.
+    pub(super) fn slopes(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
+        let same = model.same(&at.x);
+        let nothing = || Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
+        let of = |i: usize| {
+            if same.iter().any(|(effect, _)| *effect == i) {
+                return nothing();
+            }
+            let own = known.get(i).cloned().flatten().filter(|_| model.is_replayed(i));
+            own.or_else(|| self.slope(model, at, i)).unwrap_or_else(nothing)
+        };
+        let mut slopes: Vec<Arc<Rows>> = (0..model.len()).map(of).collect();
+        Self::join(&same, &mut slopes);
+        slopes
+    }
+
+    /// Displacements along which slopes are taken where `slopes` are known to be about right.
+    ///
+    /// ```text
+    /// A⁻¹ restricted to what is replayed = D U Λ Uᵀ D,   δ_k = s √λ_k A⁻¹ [A⁻¹]⁻¹ D u_k                  (1)
+    /// ```
+    ///
+    /// D are the prior standard deviations, s is [`SHARE`], and what is not replayed goes along as the records ask. A difference is wrong
+    /// by a share of its own size. Taken coordinate by coordinate, the difference of two that do nearly the same is lost in that; taken
+    /// along the principal axes of the posterior, what changes records little is known as well as what changes them much.
+    pub(super) fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Mat<f64>> {
+        let (prior, bounds, n) = (model.prior(), model.bounds(), model.len());
+        let same = model.same(&at.x);
+        let replayed = replayed(model, &same);
+        let a = information(model, &self.normal(slopes, &at.rows));
+        // What does as a declared value does stays where it is.
+        let is_held = |i: usize| same.iter().any(|(effect, _)| *effect == i);
+        let free = |i: usize, j: usize| if is_held(i) || is_held(j) { f64::from(u8::from(i == j)) } else { a[(i, j)] };
+        let c = inverse(&Mat::from_fn(n, n, free))?;
+        let p = replayed.len();
+        let deviation = |k: usize| prior[replayed[k]][1];
+        let scaled = Mat::from_fn(p, p, |i, j| c[(replayed[i], replayed[j])] / (deviation(i) * deviation(j)));
+        let axes = scaled.self_adjoint_eigen(Side::Lower).ok()?;
+        let mut along = Mat::zeros(n, p);
+        for k in 0..p {
+            let lambda = axes.S()[k].max(f64::MIN_POSITIVE);
+            let pulled: Vec<f64> = (0..p).map(|i| axes.U()[(i, k)] / (deviation(i) * lambda.sqrt())).collect();
+            let moved: Vec<f64> =
+                (0..n).map(|i| SHARE * (0..p).map(|j| c[(i, replayed[j])] * pulled[j]).sum::<f64>()).collect();
+            // To the side on which bounds leave more room.
+            let room = |sign: f64| {
+                let of = |(i, d): (usize, &f64)| {
+                    let end = if sign * d > 0.0 { bounds[i][1] } else { bounds[i][0] };
+                    if *d == 0.0 { 1.0 } else { ((end - at.x[i]) / (sign * d)).max(0.0) }
+                };
+                moved.iter().enumerate().map(of).fold(1.0, f64::min)
+            };
+            let [up, down] = [room(1.0), room(-1.0)];
+            let share = if up >= down { up } else { -down };
+            moved.iter().enumerate().for_each(|(i, d)| along[(i, k)] = share * d);
+        }
+        Some(along)
+    }
+
+    /// Slopes by replays `along` displacements of what is replayed, and by each of the other coordinates.
+    pub(super) fn slopes_along(&self, model: &Model<'a>, at: &Point, along: &Mat<f64>) -> Option<Vec<Arc<Rows>>> {
+        let same = model.same(&at.x);
+        let replayed = replayed(model, &same);
+        let p = replayed.len();
+        let moved = Mat::from_fn(p, p, |i, k| along[(replayed[i], k)]);
+        let back = moved.partial_piv_lu().solve(Mat::<f64>::identity(p, p));
+        if !(0..p).all(|i| (0..p).all(|j| back[(i, j)].is_finite())) {
+            return None;
+        }
+        let nothing = Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
+        let mut slopes = self.slopes(model, at, &vec![Some(nothing.clone()); model.len()]);
+        let mut changes: Vec<Rows> = Vec::with_capacity(p);
+        for k in 0..p {
+            let beside: Vec<f64> = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
+            let mut change = combined(&self.point(model, beside).ok()?.rows, &at.rows, 1.0, -1.0);
+            for i in (0..model.len()).filter(|i| !replayed.contains(i) && along[(*i, k)] != 0.0) {
+                change = combined(&change, &slopes[i], 1.0, -along[(i, k)]);
+            }
+            changes.push(change);
+        }
+        for (j, i) in replayed.iter().enumerate() {
+            let sum = |sum: Rows, (k, r): (usize, &Rows)| combined(&sum, r, 1.0, back[(k, j)]);
+            slopes[*i] = Arc::new(changes.iter().enumerate().fold(nothing.to_vec(), sum));
+        }
+        Self::join(&same, &mut slopes);
+        Some(slopes)
+    }
+
+    /// Gives effects that do what declared values do the slopes of those: data cannot tell the two, and no error of a finite difference
+    /// may.
+    fn join(same: &Same, slopes: &mut [Arc<Rows>]) {
+        for (effect, parts) in same {
+            let nothing = combined(&slopes[*effect], &slopes[*effect], 0.0, 0.0);
+            let sum = parts.iter().fold(nothing, |sum, (i, share)| combined(&sum, &slopes[*i], 1.0, *share));
+            slopes[*effect] = Arc::new(sum);
+        }
+    }
+
+    /// Corrects slopes by what a step did, along it alone.
+    ///
+    /// ```text
+    /// J ← J + (Δr − J δ) δᵀ/(δᵀ δ + τ²)                                      (1)
+    /// ```
+    ///
+    /// τ is [`JITTER`], so that what a short step does by chance is not taken for a slope; δ in prior standard deviations, over the
+    /// coordinates whose slopes are replays; those of sensors are taken anew.
+    ///
+    /// Source: (1) Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6.
+    pub(super) fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2]) {
+        let prior = model.prior();
+        let same = model.same(&from.x);
+        let mut moved: Vec<f64> = to.x.iter().zip(&from.x).map(|(to, from)| to - from).collect();
+        for (effect, parts) in &same {
+            let own = std::mem::take(&mut moved[*effect]);
+            parts.iter().for_each(|(i, share)| moved[*i] += share * own);
+        }
+        let delta: Vec<f64> = (0..model.len()).map(|i| moved[i] / prior[i][1]).collect();
+        let square: f64 = (0..model.len()).filter(|i| model.is_replayed(*i)).map(|i| delta[i] * delta[i]).sum();
+        if square < 1e-12 {
+            return;
+        }
+        let mut missed = combined(&to.rows, &from.rows, 1.0, -1.0);
+        for (i, slope) in slopes.iter().enumerate() {
+            missed = combined(&missed, slope, 1.0, from.x[i] - to.x[i]);
+        }
+        for (i, slope) in slopes.iter_mut().enumerate() {
+            let factor = delta[i] / ((square + JITTER * JITTER) * prior[i][1]);
+            if model.is_replayed(i) && factor != 0.0 {
+                *slope = Arc::new(combined(slope, &missed, 1.0, factor));
+            }
+        }
+        Self::join(&same, slopes);
+    }
+}
+
+/// Coordinates whose slopes are replays of their own.
+fn replayed(model: &Model<'_>, same: &Same) -> Vec<usize> {
+    let is_held = |i: &usize| same.iter().any(|(effect, _)| effect == i);
+    (0..model.len()).filter(|i| model.is_replayed(*i) && !is_held(i)).collect()
+}
