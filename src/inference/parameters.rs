@@ -6,16 +6,18 @@
 //! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` and [`DAMPING_RATIO`] |
 //! | reference strain, curvature, hysteresis | standard deviations | N(0, 1), [`NONLINEARITY_LN`], [`CURVATURE_LN`], [`HYSTERESIS_LN`] |
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
-//! | what other programs make of the column's damping | standard deviations | N(0, 1), one convention of each kind (`convention`) |
+//! | Rayleigh damping in place of one that laws remember, by mass and by stiffness | standard deviations | N(0, 1) above nothing, [`rayleigh`] |
+//! | a modulus without dispersion | standard deviations | N(0, 1) (`convention`)                             |
 //! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
 
 use super::convention::Slope;
-use crate::column::{Analysis, Column};
+use crate::column::{Analysis, Column, Profile, Rayleigh};
 use crate::diagnosis::{Problem, ranges};
 use crate::effects::{self, Array, Class, Free, Instance};
 use crate::error::{Error, Result};
 use faer::{Mat, Side};
+use std::f64::consts::TAU;
 use toml::Table;
 
 /// Prior standard deviation of the ln of a reference strain.
@@ -38,6 +40,8 @@ pub const DAMPING_RATIO: f64 = 0.003;
 pub const WIDE: f64 = 1.5;
 /// Least share of a declared damping.
 const LEAST_DAMPING: f64 = 0.05;
+/// ln of what is left of the damping that laws remember where all of it became Rayleigh damping; none of it cannot be had.
+const LEFT_LN: f64 = -2.0;
 /// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
 const MODES: [usize; 2] = [9, 3];
 /// Farthest an unknown may go from the mean of its prior, standard deviations.
@@ -55,6 +59,8 @@ pub struct Tolerance {
     pub deviation: f64,
     /// That of its value over what is declared, beside the deviation of the coordinate, where this one is a ln; else nothing.
     absolute: f64,
+    /// What else moves in its table, and how far by deviation; then there is no other side of what is declared.
+    beside: Option<(&'static str, f64)>,
 }
 
 impl Tolerance {
@@ -63,7 +69,16 @@ impl Tolerance {
         let parameter = effects::find(kind)?.catalogue.parameters.iter().find(|p| p.name == name).ok_or_else(none)?;
         let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
         let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
-        Ok(Self { instance: Instance { kind, target, free }, deviation, absolute: 0.0 })
+        Ok(Self { instance: Instance { kind, target, free }, deviation, absolute: 0.0, beside: None })
+    }
+
+    /// `[[effects]]` table `z` prior standard deviations from what is declared.
+    fn table(&self, z: f64) -> Table {
+        let mut table = self.instance.at(&[self.coordinate(z)]);
+        if let Some((key, by_deviation)) = self.beside {
+            table.insert(key.into(), (by_deviation * z).into());
+        }
+        table
     }
 
     /// Coordinate of the effect's parameter `z` prior standard deviations from what is declared.
@@ -105,12 +120,14 @@ impl Declared {
         let cuts_m = ranges(array);
         let modes = modes(array, &cuts_m, t.vs_ln);
         let curve = |kind, name, deviation| Tolerance::new(kind, name, &[], deviation);
-        let mut others = vec![
+        // What damping depends on before how much there is: a multiplier is of all of it.
+        let mut others = rayleigh(&array.profile)?;
+        others.extend([
             damping(array, t.damping_ln)?,
             curve("nonlinearity", "ln_gamma_ref", NONLINEARITY_LN)?,
             curve("curve_shape", "ln_curvature", CURVATURE_LN)?,
             curve("curve_shape", "ln_hysteresis", HYSTERESIS_LN)?,
-        ];
+        ]);
         for sensor in array.sensors() {
             let target = [("sensor", sensor.into())];
             others.push(Tolerance::new("sensor_gain", "ln_gain", &target, t.gain_ln)?);
@@ -124,7 +141,7 @@ impl Declared {
         }
         // What has nothing to act on in this column is no tolerance of it.
         let acts = |o: &Tolerance| {
-            let effect = effects::build(&o.instance.at(&[o.coordinate(1.0)]));
+            let effect = effects::build(&o.table(1.0));
             effect.is_ok_and(|e| e.refusal(&array.profile).is_none())
         };
         others.retain(|o| o.deviation > 0.0 && acts(o));
@@ -172,14 +189,14 @@ impl Declared {
             })
             .collect();
         let others = self.others.iter().zip(&z[self.n_mode()..]).filter(|(_, z)| **z != 0.0);
-        tables.extend(others.map(|(o, z)| o.instance.at(&[o.coordinate(*z)])));
+        tables.extend(others.map(|(o, z)| o.table(*z)));
         tables
     }
 
     /// Coordinates that at `z` do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
     /// declared cannot stand in for it.
     fn same_as(&self, effect: &Instance, z: &[f64]) -> Vec<(usize, f64)> {
-        let own = |o: &Tolerance| o.instance.is_one(effect);
+        let own = |o: &Tolerance| o.beside.is_none() && o.instance.is_one(effect);
         if let Some(i) = self.others.iter().position(own) {
             let at = self.n_mode() + i;
             let ends = [0.5, -0.5].map(|h| self.others[i].coordinate(z[at] + h * STEP));
@@ -201,6 +218,13 @@ impl Declared {
         let reached = self.ln_factors(&shares);
         let is_same = inside.contains(&1.0) && reached.iter().zip(&inside).all(|(a, b)| (a - b).abs() < 1e-6);
         if is_same { shares.into_iter().enumerate().collect() } else { Vec::new() }
+    }
+
+    /// Smallest and largest value of coordinate `i`.
+    fn bounds(&self, i: usize) -> [f64; 2] {
+        let others = i.checked_sub(self.n_mode()).and_then(|i| self.others.get(i));
+        let has_one_side = others.is_some_and(|o| o.beside.is_some());
+        [if has_one_side { 0.0 } else { -FARTHEST }, FARTHEST]
     }
 
     /// Whether coordinate `i` changes how the column is shaken.
@@ -275,7 +299,13 @@ impl<'a> Model<'a> {
     /// Smallest and largest value of each coordinate.
     pub fn bounds(&self) -> Vec<[f64; 2]> {
         let effects = self.effects.iter().flat_map(Instance::bounds);
-        (0..self.declared.len()).map(|_| [-FARTHEST, FARTHEST]).chain(effects).collect()
+        (0..self.declared.len()).map(|i| self.declared.bounds(i)).chain(effects).collect()
+    }
+
+    /// Whether coordinate `i` is at an end of its range at `x`: closer to it than a finite difference is long.
+    pub fn is_at_end(&self, x: &[f64], i: usize) -> bool {
+        let (step, [low, high]) = (STEP * self.prior()[i][1], self.bounds()[i]);
+        (x[i] - low).min(high - x[i]) < step
     }
 
     /// Whether coordinate `i` changes how the column is shaken.
@@ -311,6 +341,22 @@ fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
     let ratio = column.small_strain_damping_ratio(column.frequency_hz());
     let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
     Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)? })
+}
+
+/// Rayleigh damping, proportional to mass and to stiffness, in place of the damping that laws remember and that does not depend on
+/// frequency, as other programs have it for the same ratio: each in place of half of the ln of it. One deviation of both is the declared
+/// ratio at the fundamental frequency of the column and at five times that. None where no law has such damping.
+fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
+    let alone = Profile { rayleigh: Rayleigh::default(), ..profile.clone() };
+    let column = Column::new(&alone, &Analysis::default())?;
+    let fundamental_hz = column.frequency_hz();
+    let ratio = column.small_strain_damping_ratio(fundamental_hz);
+    let asked = Rayleigh::of_ratio(ratio, [TAU * fundamental_hz, 5.0 * TAU * fundamental_hz]);
+    let of = |(name, deviation)| {
+        let plain = Tolerance::new("frequency_dependent_damping", name, &[], deviation)?;
+        Ok(Tolerance { beside: Some(("ln_ratio", 0.5 * LEFT_LN)), ..plain })
+    };
+    [("alpha_1_s", asked.alpha_1_s), ("beta_s", asked.beta_s)].into_iter().map(of).collect()
 }
 
 /// Depth modes of ln Vs: between every two sensors polynomials of the range's place in order, of as low a degree as the array
@@ -367,6 +413,31 @@ fn modes(array: &Array, cuts_m: &[f64], vs_ln: f64) -> Vec<Vec<f64>> {
 mod tests {
     use super::super::made_up::{Truth, problem};
     use super::*;
+    use crate::column::Layer;
+    use crate::effects::Situation;
+    use std::sync::Arc;
+
+    #[test]
+    fn rayleigh_damping_is_that_of_the_law_at_two_frequencies_and_less_between() {
+        let mut layer = Layer::plain("elastic", 20.0, 1900.0, 200.0);
+        layer.law = Arc::new(Table::from_iter([("damping_ratio".to_string(), 0.02.into())]));
+        let profile = Profile { elements: 20, ..Profile::plain(vec![layer]) };
+        let ratio = |profile: &Profile, f: f64| {
+            Column::new(profile, &Analysis::default()).unwrap().small_strain_damping_ratio(f)
+        };
+        let mut edited = profile.clone();
+        for tolerance in rayleigh(&profile).unwrap() {
+            effects::build(&tolerance.table(1.0)).unwrap().edit(&mut edited, &Situation::default());
+        }
+        // What is left of the memory is on top of it.
+        for (f, share) in [(2.5, 1.0), (12.5, 1.0), (5.6, 0.75)] {
+            let found = ratio(&edited, f) / ratio(&profile, f);
+            assert!((found - share - LEFT_LN.exp()).abs() < 0.03, "{f} Hz: {found}");
+        }
+        let hysteretic = Profile::plain(vec![Layer::plain("sanisand", 20.0, 1900.0, 200.0)]);
+        let acts = |t: Tolerance| effects::build(&t.table(1.0)).unwrap().refusal(&hysteretic).is_none();
+        assert!(!rayleigh(&hysteretic).unwrap().into_iter().any(acts));
+    }
 
     #[test]
     fn velocities_of_all_layers_are_what_modes_make_of_them() {

@@ -20,6 +20,8 @@ const STEPS: usize = 30;
 const CONVERGED: f64 = 0.2;
 /// Change of ln of the evidence by slopes taken anew below which they are right.
 const STILL: f64 = 0.5;
+/// Most times that slopes are taken anew at one place.
+const RENEWALS: usize = 4;
 /// Share of the expected gain that a step must bring for its slopes to be trusted again, and to be taken at all.
 const TRUSTED: [f64; 2] = [0.3, 0.02];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
@@ -233,6 +235,7 @@ impl<'a> Fitter<'a> {
         let taken = along.as_ref().filter(|_| known.is_empty()).and_then(|along| self.slopes_along(&model, &at, along));
         let mut slopes = taken.unwrap_or_else(|| self.slopes(&model, &at, &known));
         let mut is_fresh = along.is_some();
+        let mut renewals = 0;
         let mut radius = RADIUS[0];
         for _ in 0..stop.steps {
             let g = self.normal(&slopes, &at.rows);
@@ -240,17 +243,17 @@ impl<'a> Fitter<'a> {
             let (to, expected) = step(&model, &at.x, &g, radius);
             // What is left to gain is not what a short step gains.
             let (_, whole) = step(&model, &at.x, &g, f64::INFINITY);
-            let is_at_end = whole < stop.gain || expected <= 0.0 || radius < RADIUS[2];
-            if is_at_end && (is_fresh || !stop.is_exact) {
+            let has_converged = whole < stop.gain || expected <= 0.0 || radius < RADIUS[2];
+            if has_converged && (is_fresh || !stop.is_exact) {
                 break;
             }
-            let found = if is_at_end { None } else { self.point(&model, to.clone()).ok() };
+            let found = if has_converged { None } else { self.point(&model, to.clone()).ok() };
             let ratio = found.as_ref().map_or(f64::NEG_INFINITY, |found| (cost - self.cost(&model, found)) / expected);
             if let Some(found) = &found {
                 Self::learn(&model, &mut slopes, [&at, found]);
             }
             radius = match ratio {
-                _ if is_at_end => radius.max(JITTER),
+                _ if has_converged => radius.max(JITTER),
                 r if r > 0.75 => (2.0 * radius).min(RADIUS[1]),
                 r if r < TRUSTED[0] => 0.35 * radius,
                 _ => radius,
@@ -260,14 +263,15 @@ impl<'a> Fitter<'a> {
                     at = found;
                     let known: Vec<Option<Arc<Rows>>> = slopes.into_iter().map(Some).collect();
                     slopes = self.slopes(&model, &at, &known);
-                    (is_fresh, along) = (false, None);
+                    (is_fresh, along, renewals) = (false, None, 0);
                 }
                 _ if !is_fresh => {
                     along = self.principal(&model, &at, &slopes);
                     let taken = along.as_ref().and_then(|along| self.slopes_along(&model, &at, along));
                     let taken = taken.unwrap_or_else(|| self.slopes(&model, &at, &[]));
                     let evidence = |slopes: &[Arc<Rows>]| occam(&model, &at.x, &self.normal(slopes, &at.rows));
-                    is_fresh = (evidence(&taken) - evidence(&slopes)).abs() < STILL;
+                    renewals += 1;
+                    is_fresh = (evidence(&taken) - evidence(&slopes)).abs() < STILL || renewals == RENEWALS;
                     slopes = taken;
                 }
                 _ => {}
@@ -416,7 +420,7 @@ fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
         let toward = if distance[0] { 1.0 } else { -1.0 };
         (distance[0] || distance[1]).then(|| (2.0 * normal_probability(toward * (x[i] - prior[i][0]) / deviation)).ln())
     };
-    -0.5 * ln + (model.declared.len()..n).filter_map(one_sided).sum::<f64>()
+    -0.5 * ln + (0..n).filter_map(one_sided).sum::<f64>()
 }
 
 /// Probability that a standard normal number is below `z`.
@@ -529,17 +533,17 @@ mod tests {
         let declared = Declared::new(&problem).unwrap();
         let model = Model { declared: &declared, effects: Vec::new() };
         let n = model.len();
-        let [low, high] = model.bounds()[0];
+        let bounds = model.bounds();
         let mut stream = random::stream(7, "directions");
         let mut at_bounds = 0;
         for _ in 0..20 {
             let slopes = Mat::from_fn(2 * n, n + 1, |_, _| 4.0 * (stream.random::<f64>() - 0.5));
             let g = slopes.transpose() * &slopes * 10.0;
-            let x: Vec<f64> = (0..n).map(|_| low + (high - low) * stream.random::<f64>()).collect();
+            let x: Vec<f64> = bounds.iter().map(|[low, high]| low + (high - low) * stream.random::<f64>()).collect();
             let (to, gain) = step(&model, &x, &g, f64::INFINITY);
             assert!(gain >= 0.0);
             let a = information(&model, &g);
-            for i in 0..n {
+            for (i, [low, high]) in bounds.iter().copied().enumerate() {
                 assert!((low..=high).contains(&to[i]));
                 // Slope of the cost there: nothing inside, and downhill beyond a bound.
                 let slope = (0..n).map(|j| a[(i, j)] * (to[j] - x[j])).sum::<f64>() - (g[(i, n)] - x[i]);

@@ -46,16 +46,17 @@ impl<'a> Fitter<'a> {
     /// A⁻¹ restricted to what is replayed = D U Λ Uᵀ D,   δ_k = s √λ_k A⁻¹ [A⁻¹]⁻¹ D u_k                  (1)
     /// ```
     ///
-    /// D are the prior standard deviations, s is [`SHARE`], and what is not replayed goes along as the records ask. A difference is wrong
+    /// D are the prior standard deviations, s is [`SHARE`], what is not replayed goes along as the records ask, and what is at an end of
+    /// its range stays there. A difference is wrong
     /// by a share of its own size. Taken coordinate by coordinate, the difference of two that do nearly the same is lost in that; taken
     /// along the principal axes of the posterior, what changes records little is known as well as what changes them much.
     pub(super) fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Mat<f64>> {
         let (prior, bounds, n) = (model.prior(), model.bounds(), model.len());
         let same = model.same(&at.x);
-        let replayed = replayed(model, &same);
+        let replayed = turned(model, &same, &at.x);
         let a = information(model, &self.normal(slopes, &at.rows));
-        // What does as a declared value does stays where it is.
-        let is_held = |i: usize| same.iter().any(|(effect, _)| *effect == i);
+        // What does as a declared value does stays where it is, too.
+        let is_held = |i: usize| model.is_at_end(&at.x, i) || same.iter().any(|(effect, _)| *effect == i);
         let free = |i: usize, j: usize| if is_held(i) || is_held(j) { f64::from(u8::from(i == j)) } else { a[(i, j)] };
         let c = inverse(&Mat::from_fn(n, n, free))?;
         let p = replayed.len();
@@ -86,15 +87,19 @@ impl<'a> Fitter<'a> {
     /// Slopes by replays `along` displacements of what is replayed, and by each of the other coordinates.
     pub(super) fn slopes_along(&self, model: &Model<'a>, at: &Point, along: &Mat<f64>) -> Option<Vec<Arc<Rows>>> {
         let same = model.same(&at.x);
-        let replayed = replayed(model, &same);
+        let replayed = turned(model, &same, &at.x);
         let p = replayed.len();
+        if along.ncols() != p {
+            return None;
+        }
         let moved = Mat::from_fn(p, p, |i, k| along[(replayed[i], k)]);
         let back = moved.partial_piv_lu().solve(Mat::<f64>::identity(p, p));
         if !(0..p).all(|i| (0..p).all(|j| back[(i, j)].is_finite())) {
             return None;
         }
         let nothing = Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
-        let mut slopes = self.slopes(model, at, &vec![Some(nothing.clone()); model.len()]);
+        let known: Vec<_> = (0..model.len()).map(|i| replayed.contains(&i).then(|| nothing.clone())).collect();
+        let mut slopes = self.slopes(model, at, &known);
         let mut changes: Vec<Rows> = Vec::with_capacity(p);
         for k in 0..p {
             let beside: Vec<f64> = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
@@ -159,8 +164,8 @@ impl<'a> Fitter<'a> {
     }
 }
 
-/// Coordinates whose slopes are replays of their own.
-fn replayed(model: &Model<'_>, same: &Same) -> Vec<usize> {
-    let is_held = |i: &usize| same.iter().any(|(effect, _)| effect == i);
+/// Coordinates whose slopes are taken along displacements of all of them: what is replayed and free to go to either side.
+fn turned(model: &Model<'_>, same: &Same, x: &[f64]) -> Vec<usize> {
+    let is_held = |i: &usize| model.is_at_end(x, *i) || same.iter().any(|(effect, _)| effect == i);
     (0..model.len()).filter(|i| model.is_replayed(*i) && !is_held(i)).collect()
 }
