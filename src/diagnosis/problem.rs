@@ -97,6 +97,14 @@ pub trait Replay: Sync {
         self.replay(effects)
     }
 
+    /// As [`Replay::replay_roughly`], those events alone that are wanted; the others are `None`, or are there all the same.
+    ///
+    /// # Errors
+    /// As [`Replay::replay`].
+    fn replay_some_roughly(&self, effects: &[toml::Table], _is_wanted: &[bool]) -> Result<Motions> {
+        self.replay_roughly(effects)
+    }
+
     /// As [`Replay::replay_roughly`], with noise of the input sensor drawn and added to its records; who has no noise to draw
     /// replays as before.
     ///

@@ -2,6 +2,7 @@
 
 use super::competition::Competition;
 use super::convention::conventions;
+use super::few::{self, Few};
 use super::forward::{Forward, Prediction};
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, STRAINED, Start, Stop};
@@ -56,9 +57,11 @@ pub fn diagnose(
     let prediction = std::sync::Arc::new(forward.predict(&tables)?);
     let fitter = Fitter::new(&forward, spread, prediction);
     let fit = fitter.fit(Start::at(model, x), Stop::EXACT)?;
-    let mut competition = Competition::new(fitter, fit, settings.max_effects);
+    let in_few = forward.in_groups(&few::groups(&forward));
+    let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
+    let mut competition = Competition::new(fitter, fit, few, settings.max_effects);
     competition.run(progress)?;
-    progress.note(&format!("{} replays", forward.replays()));
+    progress.note(&competition.replays());
     Ok(Answer { forward: &forward, competition: &competition, problem }.assembled())
 }
 

@@ -8,6 +8,7 @@
 
 mod proposals;
 
+use super::few::Few;
 use super::forward::{Forward, channels};
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Start, Stop, combined, square};
@@ -37,6 +38,8 @@ const SETTLINGS: usize = 3;
 /// Most times that what few elements leave wrong is taken out anew, and the change of ln of the density that still matters.
 const ANCHORS: usize = 6;
 const TOLD: f64 = 0.5;
+/// Prior standard deviations that a tolerance may move for slopes to be carried along.
+const NEAR: f64 = 1.0;
 /// Prior probability of one effect more.
 const ONE_MORE: f64 = 0.25;
 /// Change of the column's level (ln) and of a coherence from which models are compared anew.
@@ -47,6 +50,7 @@ const OTHER: [f64; 2] = [0.7, 0.2];
 /// Fitted models by their effects.
 pub struct Competition<'a> {
     fitter: Fitter<'a>,
+    few: Few<'a>,
     instances: Vec<Instance>,
     /// ln of the prior of an effect at a place, by kind.
     ln_place: BTreeMap<&'static str, f64>,
@@ -57,8 +61,8 @@ pub struct Competition<'a> {
 }
 
 impl<'a> Competition<'a> {
-    /// Prepares the competition around `declared`, the fit without effects.
-    pub fn new(fitter: Fitter<'a>, declared: Fit<'a>, max_effects: usize) -> Self {
+    /// Prepares the competition around `declared`, the fit without effects; candidates are looked at in `few` events.
+    pub fn new(fitter: Fitter<'a>, declared: Fit<'a>, few: Few<'a>, max_effects: usize) -> Self {
         let array = &fitter.forward.problem.array;
         let acts = |i: &Instance| {
             let at = i.zero().map_or_else(Vec::new, |zero| away(i, &zero, NODES[0], 1.0).unwrap_or(i.start()));
@@ -69,7 +73,7 @@ impl<'a> Competition<'a> {
         instances.iter().for_each(|i| *places.entry(i.kind).or_default() += 1.0);
         let kinds = places.len() as f64;
         let ln_place = places.iter().map(|(kind, n)| (*kind, -(kinds * n).ln())).collect();
-        Self { fitter, instances, ln_place, max_effects, fits: vec![declared], expanded: Vec::new() }
+        Self { fitter, few, instances, ln_place, max_effects, fits: vec![declared], expanded: Vec::new() }
     }
 
     /// ln of the posterior of a fitted model up to a constant.
@@ -163,9 +167,8 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
-    /// What is expected of residuals beside a fitted model, and ln of the determinant of that.
-    fn supported(&self, fit: &Fit<'a>) -> (Spread, f64) {
-        let forward = self.fitter.forward;
+    /// What is expected of the residuals of `forward` beside a fitted model, and ln of the determinant of that.
+    fn supported(forward: &Forward<'_>, fit: &Fit<'_>) -> (Spread, f64) {
         let spread = Spread::estimated(forward, &fit.prediction);
         let ln_determinant = Weights::new(forward, &spread, &fit.prediction).constant;
         (spread, ln_determinant)
@@ -176,7 +179,11 @@ impl<'a> Competition<'a> {
     fn renew_spread(&mut self, progress: &dyn Progress) -> Result<()> {
         // Models that take other channels for the same sensors predict other records: that comparison is the evidence's alone.
         let own = channels(&self.best().prediction);
-        let supported = self.fits.iter().filter(|f| channels(&f.prediction) == own).map(|f| (f, self.supported(f)));
+        let supported = self
+            .fits
+            .iter()
+            .filter(|f| channels(&f.prediction) == own)
+            .map(|f| (f, Self::supported(self.fitter.forward, f)));
         let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));
         let Some((best, (found, _))) = least.map(|(f, s)| (f.clone(), s)) else { return Ok(()) };
         let now = self.fitter.spread();
@@ -222,11 +229,13 @@ impl<'a> Competition<'a> {
             }
         };
         self.expanded.push(effects);
-        let mut heats = self.heats(&self.fitter, &base, &base, false);
+        let by = self.few.fitter(&self.fitter);
+        let start = self.few.of(&by, &base)?;
+        let mut heats = self.heats(&by, &by, &start, &start, false);
         if base.is_strained() {
             // Far from what the records say only the lowest modes tell where to go.
-            let lowest = self.fitter.of_lowest_modes();
-            heats.extend(self.heats(&lowest, &base, &Self::relaxed(&lowest, &base)?, true));
+            let lowest = by.of_lowest_modes();
+            heats.extend(self.heats(&by, &lowest, &start, &Self::relaxed(&lowest, &start)?, true));
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
         let mut finals: Vec<Fit<'a>> = Vec::new();
@@ -240,21 +249,32 @@ impl<'a> Competition<'a> {
         }
         // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
         let alike = heats.into_iter().filter(|h| channels(&h.prediction) == channels(&base.prediction));
-        let least = alike.map(|h| (self.supported(&h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let least = alike.map(|h| (Self::supported(by.forward, &h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, heat)) = least
             && is_new(&finals, &heat)
         {
             finals.push(heat);
         }
         for heat in finals {
-            self.finish(heat, progress);
+            let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
+            // Slopes where the heat began lead on from where it ended, unless that is far.
+            let near = base.slopes.iter().cloned().map(Some).collect();
+            let slopes = if Self::is_near(&base, &heat) { near } else { Vec::new() };
+            self.finish(Start { slopes, ..Start::at(model, heat.x) }, progress);
         }
         self.move_places(progress);
         Ok(())
     }
 
-    /// First fits of the most promising candidates beside `point`, the model of `base`, by what `by` says of them.
-    fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, point: &Fit<'a>, is_far: bool) -> Vec<Fit<'a>> {
+    /// First fits, by `fitter`, of the most promising candidates beside `point`, the model of `base`, by what `by` says of them.
+    fn heats(
+        &self,
+        fitter: &Fitter<'a>,
+        by: &Fitter<'a>,
+        base: &Fit<'a>,
+        point: &Fit<'a>,
+        is_far: bool,
+    ) -> Vec<Fit<'a>> {
         let mut proposals = self.proposals(by, point, is_far);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
         // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
@@ -268,15 +288,21 @@ impl<'a> Competition<'a> {
             let x = Self::started(by, point, &model, &set);
             let slopes = point.slopes.iter().cloned().map(Some).chain(set.parts.into_iter().flat_map(|p| p.slopes));
             let start = Start { slopes: slopes.collect(), ..Start::at(model, x) };
-            let found = if is_far { self.fitter.fit_from_afar(start, FAR_HEAT) } else { self.fitter.fit(start, HEAT) };
+            let found = if is_far { fitter.fit_from_afar(start, FAR_HEAT) } else { fitter.fit(start, HEAT) };
             found.ok()
         };
         distinct(singles).into_iter().chain(pairs).filter_map(fitted).collect()
     }
 
-    /// Goes on with the fit `heat` and keeps it; to the end where it comes anywhere near the best.
-    fn finish(&mut self, heat: Fit<'a>, progress: &dyn Progress) {
-        let Ok(mut found) = self.fitter.fit(Start::from(heat), Stop::CLOSE) else { return };
+    /// Whether the tolerances of `heat` are where slopes at `base` are of use.
+    fn is_near(base: &Fit<'_>, heat: &Fit<'_>) -> bool {
+        let declared = base.model.declared.len();
+        base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
+    }
+
+    /// Fits from `start` and keeps that; to the end where it comes anywhere near the best.
+    fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) {
+        let Ok(mut found) = self.fitter.fit(start, Stop::CLOSE) else { return };
         if self.log_posterior(&found) > self.log_posterior(self.best()) - FAR {
             let Ok(exact) = self.fitter.fit(Start::from(found), Stop::EXACT) else { return };
             found = exact;
@@ -290,6 +316,7 @@ impl<'a> Competition<'a> {
     fn move_places(&mut self, progress: &dyn Progress) {
         let mut tried: Vec<Vec<Instance>> = Vec::new();
         loop {
+            let by = self.few.fitter(&self.fitter);
             let best = self.best().clone();
             if tried.iter().any(|t| is_same_set(t, &best.model.effects)) {
                 return;
@@ -305,13 +332,14 @@ impl<'a> Competition<'a> {
                     let is_open = self.known(&model.effects).is_none();
                     let bounds = model.bounds();
                     let x: Vec<f64> = best.x.iter().zip(bounds).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                    let prediction = is_open.then(|| self.fitter.predict(&model, &x).ok()).flatten()?;
-                    Some((self.fitter.nll(&prediction), model, x))
+                    let in_few = Model { declared: self.few.declared, effects: model.effects.clone() };
+                    let prediction = is_open.then(|| by.predict(&in_few, &x).ok()).flatten()?;
+                    Some((by.nll(&prediction), model, x))
                 });
                 let Some((_, model, x)) = moved.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
                 let slopes = best.slopes[..best.model.declared.len()].iter().cloned().map(Some).collect();
                 if let Ok(heat) = self.fitter.fit(Start { slopes, ..Start::at(model, x) }, HEAT) {
-                    self.finish(heat, progress);
+                    self.finish(Start::from(heat), progress);
                 }
             }
         }
@@ -349,12 +377,16 @@ impl<'a> Competition<'a> {
         }
     }
 
+    /// What was replayed so far, in words.
+    pub fn replays(&self) -> String {
+        format!("{} replays, {} of few events", self.fitter.forward.replays(), self.few.forward.replays())
+    }
+
     fn described(&self, fit: &Fit<'_>) -> String {
         let table = |i: usize| fit.model.effect_table(&fit.x, i).to_string().replace('\n', ", ");
         let named: Vec<String> = (0..fit.model.effects.len()).map(table).collect();
         let gained = self.log_posterior(fit) - self.log_posterior(&self.fits[0]);
-        let replays = self.fitter.forward.replays();
-        format!("{}: ln odds {gained:+.1} against nothing missing; {replays} replays", named.join("+ "))
+        format!("{}: ln odds {gained:+.1} against nothing missing; {}", named.join("+ "), self.replays())
     }
 }
 

@@ -62,6 +62,9 @@ pub struct Forward<'a> {
     pub groups: Vec<Group>,
     /// Every record in order.
     pub records: Vec<At>,
+    /// Their places among the records of all events that there are, and their share of these.
+    pub(super) kept: Vec<usize>,
+    pub(super) share: f64,
     replay: &'a dyn Replay,
     names: Vec<String>,
     known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
@@ -77,11 +80,16 @@ impl<'a> Forward<'a> {
     pub fn new(problem: &'a Problem, replay: &'a dyn Replay, settings: &DiagnoseSettings) -> Result<Self> {
         // What the column has wrong is part of the likelihood, not of the noise.
         let settings = DiagnoseSettings { model_error: 0.0, ..settings.clone() };
-        let groups = spectra::groups(problem, &settings)?;
+        Ok(Self::of(problem, replay, spectra::groups(problem, &settings)?))
+    }
+
+    fn of(problem: &'a Problem, replay: &'a dyn Replay, groups: Vec<Group>) -> Self {
         let of_group = |(group, g): (usize, &Group)| (0..g.records.len()).map(move |record| At { group, record });
-        let records = groups.iter().enumerate().flat_map(of_group).collect();
-        Ok(Self {
+        let records: Vec<At> = groups.iter().enumerate().flat_map(of_group).collect();
+        Self {
             problem,
+            kept: (0..records.len()).collect(),
+            share: 1.0,
             records,
             groups,
             replay,
@@ -89,7 +97,12 @@ impl<'a> Forward<'a> {
             known: Mutex::default(),
             anchor: Mutex::default(),
             replays: Mutex::default(),
-        })
+        }
+    }
+
+    /// The same column and sensors with these groups, nothing replayed yet.
+    pub(super) fn without_replays(&self, groups: Vec<Group>) -> Self {
+        Self::of(self.problem, self.replay, groups)
     }
 
     /// Replays run so far.
@@ -149,9 +162,19 @@ impl<'a> Forward<'a> {
             return Ok(known.clone());
         }
         *lock(&self.replays) += 1;
-        let found = Arc::new(self.spectra_of(self.replay.replay_roughly(&shaken)?)?);
+        let found = Arc::new(self.spectra_of(self.rough(&shaken)?)?);
         lock(&self.known).insert(key, found.clone());
         Ok(found)
+    }
+
+    /// The rough replay of its own events.
+    fn rough(&self, shaken: &[Table]) -> Result<Motions> {
+        if self.share == 1.0 {
+            return self.replay.replay_roughly(shaken);
+        }
+        let mut is_wanted = vec![false; self.problem.events.len()];
+        self.groups.iter().flat_map(|g| &g.records).for_each(|r| is_wanted[r.event] = true);
+        self.replay.replay_some_roughly(shaken, &is_wanted)
     }
 
     /// The fine replay under `tables`.
@@ -175,6 +198,14 @@ impl<'a> Forward<'a> {
         add(&mut difference, &self.motions(tables)?, -1.0);
         *lock(&self.anchor) = Some(Anchor { key, difference: Arc::new(difference) });
         Ok(())
+    }
+
+    /// Takes over the anchor of `whole`, to whose records its own belong.
+    pub fn follow(&self, whole: &Self) {
+        let anchor = lock(&whole.anchor);
+        *lock(&self.anchor) = anchor
+            .as_ref()
+            .map(|anchor| Anchor { key: anchor.key.clone(), difference: Arc::new(self.kept(&anchor.difference)) });
     }
 
     /// What few elements and long steps leave wrong at the anchor, by record: nothing before there is one.

@@ -17,6 +17,7 @@ mod answer;
 mod competition;
 mod convention;
 mod covariance;
+mod few;
 mod forward;
 #[cfg(test)]
 mod made_up;

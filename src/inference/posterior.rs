@@ -132,6 +132,11 @@ impl<'a> Fitter<'a> {
         Self { forward, spread, reference, weights: Mutex::default(), high_hz: f64::INFINITY }
     }
 
+    /// The same in the events of `few` alone.
+    pub fn in_events(&self, few: &'a Forward<'a>) -> Self {
+        Self::new(few, self.spread.in_events(few), Arc::new(few.kept(&self.reference)))
+    }
+
     /// What is expected of residuals.
     pub fn spread(&self) -> &Spread {
         &self.spread

@@ -118,6 +118,8 @@ struct Record {
 /// Check:  `damping_of_a_partly_coherent_field_is_found`, `levels_and_coherence_are_read_off_records`.
 pub struct Weights {
     records: Vec<Record>,
+    /// Records that each of these stands for.
+    stands_for: f64,
     /// −ln of the density of the records where every residual is nothing: the same for all models that take the same channels for the
     /// same sensors.
     pub constant: f64,
@@ -304,6 +306,11 @@ impl Spread {
         Self { level: Self::level(&repeatable, model, 1.0), coherence, repeatable, numerical }
     }
 
+    /// The same for the records of `few` alone.
+    pub fn in_events(&self, few: &Forward<'_>) -> Self {
+        Self { numerical: Arc::new(few.kept(&self.numerical)), ..self.clone() }
+    }
+
     /// Error of the column over the declared one when all that records share counts, also what is no error of a column: the solution σ
     /// of (3) with ω at σ instead of the declared error.
     pub fn shared_level(&self, forward: &Forward<'_>) -> f64 {
@@ -390,14 +397,15 @@ impl Weights {
         let all: Vec<(Record, f64)> =
             indices.par_iter().map(|i| Self::of(forward, spread, *i, &prediction[*i])).collect();
         let (records, constants): (Vec<Record>, Vec<f64>) = all.into_iter().unzip();
-        Self { records, constant: constants.iter().sum() }
+        let stands_for = 1.0 / forward.share;
+        Self { records, stands_for, constant: stands_for * constants.iter().sum::<f64>() }
     }
 
     fn of(forward: &Forward<'_>, spread: &Spread, index: usize, predicted: &Predicted) -> (Record, f64) {
         let at = forward.records[index];
         let f = forward.frequencies_hz(at);
         let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
-        let (n_sensor, n_record) = (predicted.outputs.len(), forward.records.len() as f64);
+        let (n_sensor, n_record) = (predicted.outputs.len(), forward.records.len() as f64 / forward.share);
         let level = spread.level * model_error(forward);
         let gain = gains(predicted, half);
         let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
@@ -446,7 +454,9 @@ impl Weights {
 
     /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
     pub fn rows(&self, prediction: &Prediction) -> Rows {
-        self.records.par_iter().zip(prediction).map(|(record, p)| record.rows(p)).collect()
+        let factor = self.stands_for.sqrt();
+        let of = |(record, p): (&Record, &Predicted)| record.rows(p).into_iter().map(|r| factor * r).collect();
+        self.records.par_iter().zip(prediction).map(of).collect()
     }
 }
 

@@ -253,6 +253,17 @@ impl Replay for Bench<'_> {
         self.replay_of(&self.rough, &self.events, effects)
     }
 
+    fn replay_some_roughly(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Motions> {
+        let mut of_record = is_wanted.iter();
+        let mut is_run = |n: usize| of_record.by_ref().take(n).filter(|wanted| **wanted).count() > 0;
+        let is_run: Vec<bool> = self.events.iter().map(|records| is_run(records.len())).collect();
+        let wanted = self.events.iter().zip(&is_run).filter(|(_, is_run)| **is_run);
+        let events: Vec<Vec<Record>> = wanted.map(|(records, _)| records.clone()).collect();
+        let mut found = self.replay_of(&self.rough, &events, effects)?.into_iter();
+        let by_record = self.events.iter().zip(is_run).flat_map(|(r, is_run)| std::iter::repeat_n(is_run, r.len()));
+        Ok(by_record.map(|is_run| if is_run { found.next().flatten() } else { None }).collect())
+    }
+
     fn replay_noisier(&self, effects: &[Table]) -> Result<Motions> {
         let recorded = &mut self.problem.events.iter();
         let noisier = self.events.iter().map(|records| {
