@@ -2,6 +2,7 @@
 
 use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response};
 use crate::error::Result;
+use crate::numerics::lanes::raise;
 use crate::registry::{Entry, params};
 use crate::units::GPA;
 use schemars::JsonSchema;
@@ -125,6 +126,8 @@ impl Default for Hyperbolic {
 }
 
 const MAX_REVERSALS: usize = 24;
+/// Points of which powers are taken at once.
+const AT_ONCE: usize = 64;
 const TAU: usize = 0;
 const SIGMA: usize = 1;
 const GAMMA: usize = 2;
@@ -150,13 +153,6 @@ impl Hyperbolic {
         self.gamma_ref.unwrap_or(percent / 100.0) * self.gamma_ref_multiplier
     }
 
-    /// (τ_b, dτ_b/dγ) of (1).
-    fn backbone(&self, g: f64, gamma_ref: f64, gamma: f64) -> (f64, f64) {
-        let y = (gamma.abs() / gamma_ref).powf(self.curvature);
-        let d = 1.0 / (1.0 + y);
-        (g * gamma * d, g * d * (1.0 - self.curvature * y * d))
-    }
-
     /// (G_m, F) of (3) and (4) where the largest strain so far is `gamma_max`.
     fn reduction(&self, g: f64, gamma_ref: f64, gamma_max: f64) -> (f64, f64) {
         let ratio = 1.0 / (1.0 + (gamma_max / gamma_ref).powf(self.curvature));
@@ -164,37 +160,12 @@ impl Hyperbolic {
         (g * ratio, self.hysteresis_multiplier * f)
     }
 
-    /// (τ, dτ/dγ) at `gamma` on the branch from the reversal (γ_a, τ_a), equation (2).
-    fn branch(&self, s: &[f64], gamma_a: f64, tau_a: f64, gamma: f64) -> (f64, f64) {
-        let x = gamma - gamma_a;
-        let (tau, slope) = self.backbone(s[G], s[GAMMA_REF], 0.5 * x);
-        let (secant, f) = (s[SECANT], s[FACTOR]);
-        (tau_a + f * (2.0 * tau - secant * x) + secant * x, f * (slope - secant) + secant) // (2)
-    }
-}
-
-impl Law for Hyperbolic {
-    fn n_state(&self) -> usize {
-        STACK + 2 * MAX_REVERSALS
-    }
-
-    fn start(&self, point: &Point, state: &mut [f64]) -> Result<[f64; 4]> {
-        let g = point.shear_modulus_pa();
-        let nu = self.poisson_ratio;
-        state.fill(0.0);
-        state[SIGMA] = -point.vertical_pa;
-        state[G] = g;
-        state[M] = 2.0 * g * (1.0 - nu) / (1.0 - 2.0 * nu);
-        state[GAMMA_REF] = self.reference_strain(point);
-        Ok([g, 0.0, 0.0, state[M]])
-    }
-
-    fn update(&self, increment: Increment, committed: &[f64], trial: &mut [f64]) -> Result<Response, Refusal> {
-        let s = trial;
-        s.copy_from_slice(committed);
+    /// Where an increment leads: the present branch in the memory `s` of a point, and the strain at which (1) is taken there.
+    fn turn(&self, increment: Increment, committed: &[f64], s: &mut [f64]) -> f64 {
+        let mut count = committed[COUNT] as usize;
+        s[..STACK + 2 * count].copy_from_slice(&committed[..STACK + 2 * count]);
         let gamma = s[GAMMA] + increment.gamma;
         s[SIGMA] += s[M] * increment.eps_yy;
-        let mut count = s[COUNT] as usize;
         // The present branch runs away from its last reversal; on the backbone, away from zero.
         let origin = if count == 0 { 0.0 } else { s[STACK + 2 * (count - 1)] };
         if increment.gamma * (s[GAMMA] - origin) < 0.0 {
@@ -221,18 +192,78 @@ impl Law for Hyperbolic {
         if count > 0 && gamma.abs() > s[GAMMA_MAX] {
             count = 0;
         }
-        let (tau, slope) = if count == 0 {
-            self.backbone(s[G], s[GAMMA_REF], gamma)
-        } else {
-            self.branch(s, s[STACK + 2 * (count - 1)], s[STACK + 2 * (count - 1) + 1], gamma)
-        };
-        if !tau.is_finite() {
+        s[GAMMA] = gamma;
+        s[COUNT] = count as f64;
+        if count == 0 { gamma } else { 0.5 * (gamma - s[STACK + 2 * (count - 1)]) }
+    }
+
+    /// Response of a point where (1) is taken at the strain `at` and `y` is |γ/γ_r|^s there.
+    fn respond(&self, s: &mut [f64], at: f64, y: f64) -> Result<Response, Refusal> {
+        let d = 1.0 / (1.0 + y);
+        let mut tau = s[G] * at * d; // (1)
+        let mut slope = s[G] * d * (1.0 - self.curvature * y * d);
+        let count = s[COUNT] as usize;
+        if count > 0 {
+            let (secant, f, tau_a) = (s[SECANT], s[FACTOR], s[STACK + 2 * (count - 1) + 1]);
+            let x = 2.0 * at;
+            tau = tau_a + f * (2.0 * tau - secant * x) + secant * x; // (2)
+            slope = f * (slope - secant) + secant;
+        }
+        if !(tau.is_finite() && s[GAMMA].is_finite()) {
             return Err(Refusal::NotFinite);
         }
         s[TAU] = tau;
-        s[GAMMA] = gamma;
-        s[COUNT] = count as f64;
         Ok(Response { tau_pa: tau, sigma_yy_pa: s[SIGMA], tangent_pa: [slope, 0.0, 0.0, s[M]] })
+    }
+}
+
+impl Law for Hyperbolic {
+    fn n_state(&self) -> usize {
+        STACK + 2 * MAX_REVERSALS
+    }
+
+    fn start(&self, point: &Point, state: &mut [f64]) -> Result<[f64; 4]> {
+        let g = point.shear_modulus_pa();
+        let nu = self.poisson_ratio;
+        state.fill(0.0);
+        state[SIGMA] = -point.vertical_pa;
+        state[G] = g;
+        state[M] = 2.0 * g * (1.0 - nu) / (1.0 - 2.0 * nu);
+        state[GAMMA_REF] = self.reference_strain(point);
+        Ok([g, 0.0, 0.0, state[M]])
+    }
+
+    fn update(&self, increment: Increment, committed: &[f64], trial: &mut [f64]) -> Result<Response, Refusal> {
+        let mut response = [Response::default()];
+        self.update_all(&[increment], committed, trial, &mut response).map_err(|(_, refusal)| refusal)?;
+        Ok(response[0])
+    }
+
+    fn update_all(
+        &self,
+        increments: &[Increment],
+        committed: &[f64],
+        trial: &mut [f64],
+        responses: &mut [Response],
+    ) -> Result<(), (usize, Refusal)> {
+        let n = self.n_state();
+        // Powers cost more than all else, and are taken of many points at once.
+        let (mut at, mut y) = ([0.0; AT_ONCE], [0.0; AT_ONCE]);
+        for first in (0..increments.len()).step_by(AT_ONCE) {
+            let count = AT_ONCE.min(increments.len() - first);
+            for k in 0..count {
+                let own = (first + k) * n..(first + k + 1) * n;
+                let s = &mut trial[own.clone()];
+                at[k] = self.turn(increments[first + k], &committed[own], s);
+                y[k] = at[k].abs() / s[GAMMA_REF];
+            }
+            raise(&mut y[..count], self.curvature);
+            for k in 0..count {
+                let i = first + k;
+                responses[i] = self.respond(&mut trial[i * n..(i + 1) * n], at[k], y[k]).map_err(|e| (i, e))?;
+            }
+        }
+        Ok(())
     }
 
     fn pore_stiffness_pa(&self) -> f64 {
