@@ -118,6 +118,9 @@ fn lines(name: &str, tally: &Tally) {
     if tally.null_alarms.of > 0 {
         println!("  null alarms          {}", share(&tally.null_alarms));
     }
+    if let Some(incoherent) = &tally.incoherent {
+        println!("  rest incoherent      {}", share(incoherent));
+    }
     if tally.outside_unknown.of > 0 {
         println!("  outside unknown      {}", share(&tally.outside_unknown));
     }

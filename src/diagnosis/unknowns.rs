@@ -36,7 +36,7 @@ impl Nuisance {
         let parameter = parameter(kind)?;
         let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
         let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
-        let is_shaken = effects::find(kind)?.catalogue.class != effects::Class::Sensor;
+        let is_shaken = effects::find(kind)?.catalogue.class.moves_column();
         Ok(Self { instance: Instance { kind, target, free }, deviation, is_shaken })
     }
 

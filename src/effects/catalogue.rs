@@ -16,6 +16,15 @@ pub enum Class {
     Boundary,
     /// What the sensors make of the motion; never the soil.
     Sensor,
+    /// What strays in the field: no candidate, but part of what is expected of the residuals of every model.
+    Field,
+}
+
+impl Class {
+    /// Whether it changes how the column is shaken.
+    pub fn moves_column(self) -> bool {
+        matches!(self, Self::Soil | Self::Boundary)
+    }
 }
 
 /// How a parameter's value is turned into the coordinate in which it is searched.

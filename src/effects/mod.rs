@@ -19,6 +19,7 @@ mod contractancy;
 mod curve_shape;
 mod directional_anisotropy;
 mod frequency_dependent_damping;
+mod incoherence;
 mod instrument_high_pass;
 mod instrument_low_pass;
 mod interface_depth;
@@ -167,6 +168,7 @@ pub const EFFECTS: &[Entry] = &[
     contractancy::ENTRY,
     curve_shape::ENTRY,
     interface_depth::ENTRY,
+    incoherence::ENTRY,
 ];
 
 /// The registered effect `kind`.
@@ -177,9 +179,9 @@ pub fn find(kind: &str) -> Result<&'static Entry> {
     registry::find("effect", EFFECTS, kind)
 }
 
-/// Every place of every effect in `array`.
+/// Every place in `array` of every effect that is a candidate.
 pub fn instances(array: &Array) -> Vec<Instance> {
-    EFFECTS.iter().flat_map(|e| (e.catalogue.instances)(array)).collect()
+    EFFECTS.iter().filter(|e| e.catalogue.class != Class::Field).flat_map(|e| (e.catalogue.instances)(array)).collect()
 }
 
 /// Builds one `[[effects]]` table.

@@ -26,7 +26,8 @@ fn array() -> Array {
 fn all_instances() -> Vec<(Array, Instance)> {
     let mut contained = array();
     contained.profile.vertical = Vertical::Restrained;
-    let of = |array: Array| instances(&array).into_iter().map(move |i| (array.clone(), i)).collect::<Vec<_>>();
+    let all = |array: &Array| EFFECTS.iter().flat_map(|e| (e.catalogue.instances)(array)).collect::<Vec<_>>();
+    let of = |array: Array| all(&array).into_iter().map(move |i| (array.clone(), i)).collect::<Vec<_>>();
     [of(array()), of(contained)].concat()
 }
 
@@ -83,7 +84,7 @@ fn every_effect_does_something_where_it_is_drawn_and_the_column_still_runs() {
             || effect.depth_m("mid", 5.0) != 5.0;
         assert!(acts, "{table:?}");
         assert_eq!(
-            find(instance.kind).unwrap().catalogue.class == Class::Sensor,
+            !find(instance.kind).unwrap().catalogue.class.moves_column(),
             profile == array.profile && effect.arrival(0.0, 1.0).is_none(),
             "{table:?}"
         );
@@ -234,7 +235,7 @@ fn with_every_law_every_effect_on_the_column_changes_its_motion_or_is_refused() 
         let plain = surface(&array, None);
         let size: f64 = plain.iter().map(|a| a * a).sum();
         let offered = instances(&array);
-        for entry in EFFECTS.iter().filter(|e| e.catalogue.class != Class::Sensor) {
+        for entry in EFFECTS.iter().filter(|e| e.catalogue.class.moves_column()) {
             let mut tried: Vec<&Instance> = Vec::new();
             let elsewhere = everywhere.iter().map(|(_, i)| i);
             for instance in offered.iter().chain(elsewhere).filter(|i| i.kind == entry.name) {

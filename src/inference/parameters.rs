@@ -14,7 +14,7 @@
 use super::convention::Slope;
 use crate::column::{Analysis, Column, Profile, Rayleigh};
 use crate::diagnosis::{Problem, ranges};
-use crate::effects::{self, Array, Class, Free, Instance};
+use crate::effects::{self, Array, Free, Instance};
 use crate::error::{Error, Result};
 use faer::{Mat, Side};
 use std::f64::consts::TAU;
@@ -236,7 +236,7 @@ impl Declared {
 
 /// Whether an effect changes the motion of the column, and not only what output sensors make of it.
 pub fn is_replayed(instance: &Instance, input: &str) -> bool {
-    instance.class() != Class::Sensor
+    instance.class().moves_column()
         || instance.kind == "sensor_depth"
         || ["sensor", "with"].iter().any(|key| instance.target.get(*key).and_then(toml::Value::as_str) == Some(input))
 }

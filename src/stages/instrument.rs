@@ -5,7 +5,7 @@
 //! tilt) nobody predicts: its estimate from the record is added to a prediction of that record. Without sensor effects
 //! everything passes unchanged, to the bit.
 
-use crate::effects::{self, Channels, Class, Direction, Effect, Recording, observe};
+use crate::effects::{self, Channels, Direction, Effect, Recording, observe};
 use crate::error::Result;
 use crate::manifest::SensorsSection;
 use crate::numerics::resample::resample_band_limited;
@@ -143,9 +143,8 @@ pub fn narrow(parameters: &mut Table, concern: Concern) {
         let kind = table.get("kind").and_then(Value::as_str).unwrap_or_default();
         // What cannot be found is kept: the stage says what is wrong with it.
         effects::find(kind).map_or(true, |entry| match (concern, entry.catalogue.class) {
-            (Concern::Column, Class::Sensor) => kind == "sensor_depth",
-            (Concern::Sensors, class) => class == Class::Sensor || has_arrival(table),
-            (Concern::Column, _) => true,
+            (Concern::Column, class) => class.moves_column() || kind == "sensor_depth",
+            (Concern::Sensors, class) => !class.moves_column() || has_arrival(table),
         })
     });
     if tables.is_empty() {

@@ -161,6 +161,7 @@ fn class(class: Class) -> String {
         Class::Soil => "soil",
         Class::Boundary => "boundary",
         Class::Sensor => "sensor",
+        Class::Field => "field",
     }
     .into()
 }

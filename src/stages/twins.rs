@@ -218,6 +218,7 @@ impl Stand {
             verdict: diagnosis.verdict,
             found: diagnosis.effects.iter().map(|e| e.table.clone()).collect(),
             ambiguity: diagnosis.ambiguity.clone(),
+            rest: diagnosis.rest.as_ref().map(|rest| rest.verdict),
             ranked,
             gain: diagnosis.candidates.first().map_or(0.0, |c| c.gain),
             explained_share: diagnosis.explained_share,

@@ -154,10 +154,14 @@ impl Cell {
         for kind in &self.kinds {
             effects::find(kind)?;
         }
-        let is_wanted = |name: &str| self.kinds.is_empty() || self.kinds.iter().any(|k| k == name);
+        // A field that strays is no candidate: it is drawn where it is asked for.
+        let is_wanted = |entry: &effects::Entry| match self.kinds.is_empty() {
+            true => entry.catalogue.class != effects::Class::Field,
+            false => self.kinds.iter().any(|kind| kind == entry.name),
+        };
         let places: Vec<Vec<Instance>> = effects::EFFECTS
             .iter()
-            .filter(|entry| is_wanted(entry.name))
+            .filter(|entry| is_wanted(entry))
             .map(|entry| (entry.catalogue.instances)(array))
             .filter(|places| !places.is_empty())
             .collect();

@@ -1,6 +1,7 @@
 //! What came of many twins: how often the right name was found, how often a wrong one, and what correcting was worth.
 
-use crate::diagnosis::Verdict;
+use crate::diagnosis::{RestVerdict, Verdict};
+use crate::effects::{self, Class};
 use crate::metrics::{median, quantile};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -22,6 +23,9 @@ pub struct Outcome {
     pub found: Vec<toml::Table>,
     /// Kinds that explain the records about as well.
     pub ambiguity: Vec<String>,
+    /// What remains, where that was told.
+    #[serde(default)]
+    pub rest: Option<RestVerdict>,
     /// Kinds of the first round, best first.
     pub ranked: Vec<String>,
     /// Gain of the best candidate.
@@ -98,6 +102,9 @@ pub struct Tally {
     pub null_alarms: Share,
     /// Of the twins with something outside the catalogue and nothing in it, those called unknown.
     pub outside_unknown: Share,
+    /// Of the twins with a field that strays, those whose rest is called incoherent.
+    #[serde(default)]
+    pub incoherent: Option<Share>,
     /// Twins with an answer other than `none`.
     pub alarms: Share,
     /// Twins called unknown.
@@ -166,6 +173,11 @@ impl Outcome {
         tables.iter().filter_map(|t| t.get("kind")?.as_str()).collect()
     }
 
+    /// What held and could be named.
+    fn nameable(&self) -> Vec<&str> {
+        Self::kinds(&self.truth).into_iter().filter(|kind| !strays(kind)).collect()
+    }
+
     fn held(&self) -> String {
         let kinds = Self::kinds(&self.truth);
         match (kinds.is_empty(), self.outside.is_empty()) {
@@ -189,15 +201,15 @@ impl Outcome {
             return false;
         };
         let all = self.without_one_percent.iter().chain([&recalibrated]);
-        !self.truth.is_empty() && all.fold(f64::INFINITY, |least, e| e.min(least)) > SURVIVES * floor
+        !self.nameable().is_empty() && all.fold(f64::INFINITY, |least, e| e.min(least)) > SURVIVES * floor
     }
 
     fn is_null(&self) -> bool {
-        self.truth.is_empty() && self.outside.is_empty()
+        self.nameable().is_empty() && self.outside.is_empty()
     }
 
     fn is_outside(&self) -> bool {
-        self.truth.is_empty() && !self.outside.is_empty()
+        self.nameable().is_empty() && !self.outside.is_empty()
     }
 
     fn is_of_right_class(&self) -> bool {
@@ -211,7 +223,7 @@ impl Outcome {
     }
 
     fn is_right(&self) -> bool {
-        let (held, found) = (Self::kinds(&self.truth), Self::kinds(&self.found));
+        let (held, found) = (self.nameable(), Self::kinds(&self.found));
         let named = |kind: &&str| found.contains(kind) || self.ambiguity.iter().any(|k| k == kind);
         matches!(self.verdict, Verdict::Known | Verdict::Ambiguous)
             && !held.is_empty()
@@ -220,14 +232,19 @@ impl Outcome {
     }
 
     fn is_wrong(&self) -> bool {
-        let held = Self::kinds(&self.truth);
+        let held = self.nameable();
         self.verdict == Verdict::Known && Self::kinds(&self.found).iter().any(|kind| !held.contains(kind))
     }
 
     fn rank(&self) -> Option<usize> {
-        let first = *Self::kinds(&self.truth).first()?;
+        let first = *self.nameable().first()?;
         self.ranked.iter().position(|kind| kind == first)
     }
+}
+
+/// Whether an effect lets the field stray.
+fn strays(kind: &str) -> bool {
+    effects::find(kind).is_ok_and(|e| e.catalogue.class == Class::Field)
 }
 
 impl Tally {
@@ -246,11 +263,14 @@ impl Tally {
             let those: Vec<&&Outcome> = group.iter().filter(|o| are(o)).collect();
             Share::new(those.iter().filter(|o| is(o)).count(), those.len())
         };
+        let is_straying = |o: &Outcome| Outcome::kinds(&o.truth).into_iter().any(strays);
+        let incoherent = of_those(&is_straying, &|o| o.rest == Some(RestVerdict::Incoherent));
         let is_unknown = |o: &Outcome| o.verdict == Verdict::Unknown;
         Self {
             right_class: share(&Outcome::is_of_right_class),
             null_alarms: of_those(&Outcome::is_null, &|o| o.verdict != Verdict::None),
             outside_unknown: of_those(&Outcome::is_outside, &is_unknown),
+            incoherent: (incoherent.of > 0).then_some(incoherent),
             alarms: share(&|o| o.verdict != Verdict::None),
             unknown: share(&|o| o.verdict == Verdict::Unknown),
             right: share(&Outcome::is_right),
@@ -306,6 +326,7 @@ mod tests {
             verdict,
             found: tables(found),
             ambiguity: Vec::new(),
+            rest: None,
             ranked: ranked.iter().map(|k| (*k).to_string()).collect(),
             gain: 0.0,
             explained_share: None,
@@ -364,5 +385,17 @@ mod tests {
         assert!(none.ci95[0] == 0.0 && (none.ci95[1] - 0.0602).abs() < 1e-3, "{none:?}");
         let most = Share::new(31, 36);
         assert!((most.ci95[0] - 0.713).abs() < 2e-3 && (most.ci95[1] - 0.939).abs() < 2e-3, "{most:?}");
+    }
+
+    #[test]
+    fn a_field_that_strays_is_not_to_be_named_and_its_rest_is_counted() {
+        let right =
+            Outcome { rest: Some(RestVerdict::Incoherent), ..outcome(&["incoherence"], Verdict::None, &[], &[]) };
+        let missed = Outcome { rest: Some(RestVerdict::Noise), ..right.clone() };
+        let alarm = outcome(&["incoherence"], Verdict::Known, &["small_strain_damping"], &["small_strain_damping"]);
+        let tally = Tally::of(&[&right, &missed, &alarm]);
+        assert_eq!((tally.right_class.hits, tally.null_alarms.hits, tally.wrong.hits), (2, 1, 1));
+        assert_eq!(tally.incoherent.map(|share| (share.hits, share.of)), Some((1, 3)));
+        assert!(Tally::of(&[&outcome(&[], Verdict::None, &[], &[])]).incoherent.is_none());
     }
 }

@@ -1,7 +1,7 @@
 //! The truth file: what really holds at a twin site.
 
 use super::{OwnDamping, Processing, outside};
-use crate::effects::{self, Class};
+use crate::effects;
 use crate::error::{Context, Error, Result};
 use crate::motion::{Band, MotionSettings};
 use crate::records::Noise;
@@ -144,7 +144,7 @@ impl Truth {
         let of_soil = |table: &&Table| {
             let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
             // A measured motion cannot be read at another depth.
-            kind == "sensor_depth" || effects::find(kind).is_ok_and(|e| e.catalogue.class != Class::Sensor)
+            kind == "sensor_depth" || effects::find(kind).is_ok_and(|e| e.catalogue.class.moves_column())
         };
         let what = match self.effects.iter().find(of_soil) {
             Some(table) => format!("effect {} changes the motion of the ground, which was measured", table["kind"]),
