@@ -4,11 +4,13 @@
 //! leaves open: where nothing else holds, the diagnosis should name nothing.
 
 use super::{Processing, Truth};
+use crate::effects::Array;
 use crate::error::{Error, Result};
 use rand::{Rng, RngExt};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use toml::{Table, Value};
 
 /// Damping of the truth column as a Rayleigh damping of its own, in place of what its laws ask for.
@@ -89,6 +91,15 @@ impl Foreign {
         });
         let (mesh_factor, max_step_s, processing) = (self.mesh_factor, self.max_step_s, self.processing);
         Truth { law, damping, mesh_factor, max_step_s, processing, ..truth.clone() }
+    }
+
+    /// The array of its truths: where these have a damping of their own, laws have none.
+    pub(super) fn array(&self, declared: &Array) -> Array {
+        let mut array = declared.clone();
+        for layer in array.profile.layers.iter_mut().filter(|_| self.damping.is_some()) {
+            Arc::make_mut(&mut layer.law).insert("damping_ratio".into(), 0.0.into());
+        }
+        array
     }
 
     /// The ends of all ranges as truths, so that what cannot be drawn is refused before anything runs.

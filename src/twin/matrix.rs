@@ -110,7 +110,10 @@ impl Matrix {
     pub fn cases(&self, truth: &Truth, array: &Array, seed: u64) -> Result<Vec<Case>> {
         let mut cases = Vec::new();
         for cell in &self.cell {
-            let kinds = cell.fitting(array).map_err(|e| e.at(format!("cell `{}`", cell.name)))?;
+            let foreign = self.foreign.as_ref().filter(|_| cell.foreign);
+            let own = foreign.map(|foreign| foreign.array(array));
+            let kinds =
+                cell.fitting(own.as_ref().unwrap_or(array)).map_err(|e| e.at(format!("cell `{}`", cell.name)))?;
             for number in 1..=cell.count {
                 let mut random = random::stream(seed, &format!("twin {} {number}", cell.name));
                 let mut truth = Truth {
@@ -122,7 +125,7 @@ impl Matrix {
                 };
                 let outside = cell.outside.get((number - 1) % cell.outside.len().max(1));
                 truth.outside = outside.map(|table| drawn(table, &mut random)).into_iter().collect();
-                if let Some(foreign) = self.foreign.as_ref().filter(|_| cell.foreign) {
+                if let Some(foreign) = foreign {
                     truth = foreign.of(&truth, &mut random);
                 }
                 cases.push(Case { cell: cell.name.clone(), number, is_foreign: cell.foreign, truth });
@@ -240,6 +243,14 @@ mod tests {
             assert_eq!(case.truth.processing.low_pass_hz, foreign(&case).then_some(20.0));
             case.truth.check().expect("draws are within their ranges");
         }
+        // A power of the frequency needs damping that laws remember, which foreign truths do not have.
+        let all = (0..20).flat_map(|seed| matrix.cases(&truth, &array, seed).expect("cases"));
+        let mut powers = [0, 0];
+        for case in all {
+            let is_power = |t: &Table| t.contains_key("exponent") && t["kind"].as_str() != Some("pore_pressure");
+            powers[usize::from(foreign(&case))] += case.truth.effects.iter().filter(|t| is_power(t)).count();
+        }
+        assert!(powers[0] > 0 && powers[1] == 0, "{powers:?}");
         matrix.cell[0].kinds = vec!["sensor_gains".into()];
         let error = matrix.cases(&truth, &array, 3).expect_err("no such kind");
         assert!(error.hint_text().is_some_and(|hint| hint.contains("nearest: `sensor_gain`")));
