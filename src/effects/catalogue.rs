@@ -16,7 +16,7 @@ pub enum Class {
     Boundary,
     /// What the sensors make of the motion; never the soil.
     Sensor,
-    /// What strays in the field: no candidate, but part of what is expected of the residuals of every model.
+    /// What strays in the field or has no name: nothing that a diagnosis names or a correction is made of.
     Field,
 }
 
@@ -203,6 +203,11 @@ impl Instance {
     /// Whether it is the same parameters of the same effect at the same place.
     pub fn is_one(&self, other: &Self) -> bool {
         self.is_same(other) && self.is_alike(other)
+    }
+
+    /// Whether it is something that a diagnosis names.
+    pub fn is_named(&self) -> bool {
+        self.class() != Class::Field
     }
 
     /// What it acts on.

@@ -39,6 +39,7 @@ mod structure_interaction;
 mod surface_wave;
 mod swapped_channels;
 mod thin_seam;
+mod unnamed_response;
 mod water_table;
 
 pub use catalogue::{Array, Catalogue, Class, Free, Instance, Parameter, Scale, place};
@@ -169,6 +170,7 @@ pub const EFFECTS: &[Entry] = &[
     curve_shape::ENTRY,
     interface_depth::ENTRY,
     incoherence::ENTRY,
+    unnamed_response::ENTRY,
 ];
 
 /// The registered effect `kind`.
@@ -182,6 +184,11 @@ pub fn find(kind: &str) -> Result<&'static Entry> {
 /// Every place in `array` of every effect that is a candidate.
 pub fn instances(array: &Array) -> Vec<Instance> {
     EFFECTS.iter().filter(|e| e.catalogue.class != Class::Field).flat_map(|e| (e.catalogue.instances)(array)).collect()
+}
+
+/// Responses of the output sensors of `array` that have no name: what named effects are compared with.
+pub fn unnamed(array: &Array) -> Vec<Instance> {
+    (unnamed_response::ENTRY.catalogue.instances)(array)
 }
 
 /// Builds one `[[effects]]` table.

@@ -109,7 +109,9 @@ impl<'a> Answer<'_, 'a> {
         };
         let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
         let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
-        let mut rest = self.rest(answer);
+        // A response without a name is one of the models: where it is needed, something remains whatever is named.
+        let is_unnamed = self.probability(|fit| fit.model.effects.iter().any(|e| !e.is_named())) > 0.5;
+        let mut rest = self.rest(answer, is_unnamed);
         let verdict = match (sure, rest.verdict) {
             (Some(_), _) => Verdict::Known,
             // Where no name is sure and what is surely there has none, names compete for what is not theirs.
@@ -119,7 +121,7 @@ impl<'a> Answer<'_, 'a> {
         };
         if is_missing && verdict == Verdict::Unknown {
             answer = plain;
-            rest = self.rest(plain);
+            rest = self.rest(plain, is_unnamed);
         }
         let is_named = matches!(verdict, Verdict::Known | Verdict::Ambiguous);
         let mut ambiguity: Vec<String> = Vec::new();
@@ -155,7 +157,7 @@ impl<'a> Answer<'_, 'a> {
     /// Models that were fitted, most probable first.
     fn candidates(&self) -> Vec<Candidate> {
         let plain = &self.competition.fits[0];
-        let of = |fit: &Fit<'_>| {
+        let of = |fit: &Fit<'a>| {
             let first = fit.model.effects.first()?;
             let joined = |of: &dyn Fn(&Instance) -> String| {
                 fit.model.effects.iter().map(of).filter(|t| !t.is_empty()).collect::<Vec<_>>().join(" + ")
@@ -185,8 +187,18 @@ impl<'a> Answer<'_, 'a> {
     }
 
     /// Share of the power of the recalibrated model's residual that is not there any more.
-    fn explained_share(&self, fit: &Fit<'_>) -> f64 {
-        1.0 - self.misfit(&fit.prediction) / self.misfit(&self.competition.fits[0].prediction).max(f64::MIN_POSITIVE)
+    fn explained_share(&self, fit: &Fit<'a>) -> f64 {
+        let prediction = self.competition.named(fit).unwrap_or_else(|| fit.prediction.clone());
+        1.0 - self.misfit(&prediction) / self.misfit(&self.competition.fits[0].prediction).max(f64::MIN_POSITIVE)
+    }
+
+    /// Posterior probability of the models that `is_meant` takes.
+    fn probability(&self, is_meant: impl Fn(&Fit<'a>) -> bool) -> f64 {
+        let highest = self.competition.log_posterior(self.competition.best());
+        let density = |fit: &&Fit<'a>| (self.competition.log_posterior(fit) - highest).exp();
+        let fits = &self.competition.fits;
+        fits.iter().filter(|f| is_meant(f)).map(|f| density(&f)).sum::<f64>()
+            / fits.iter().map(|f| density(&f)).sum::<f64>()
     }
 
     /// Posterior probability of each set of kinds.
@@ -216,13 +228,14 @@ impl<'a> Answer<'_, 'a> {
         sum[0] / f64::max(sum[1], 1.0)
     }
 
-    /// What remains beside `fit`.
-    fn rest(&self, fit: &Fit<'_>) -> Rest {
-        let spread = Spread::estimated(self.forward, &fit.prediction);
-        let [repeatable, strays, recorded] = residual_powers(self.forward, &fit.prediction, &spread);
+    /// What remains beside the named effects of `fit`, and whether part of it is known to have no name.
+    fn rest(&self, fit: &Fit<'a>, is_unnamed: bool) -> Rest {
+        let prediction = self.competition.named(fit).unwrap_or_else(|| fit.prediction.clone());
+        let spread = Spread::estimated(self.forward, &prediction);
+        let [repeatable, strays, recorded] = residual_powers(self.forward, &prediction, &spread);
         let share = [repeatable, strays].map(|p| p / recorded.max(f64::MIN_POSITIVE));
         let level = spread.shared_level(self.forward);
-        let verdict = if level > UNNAMED {
+        let verdict = if is_unnamed || level > UNNAMED {
             RestVerdict::Unnamed
         } else if share[1] > self.problem.tolerances.model.powi(2) {
             RestVerdict::Incoherent
@@ -252,7 +265,7 @@ impl<'a> Answer<'_, 'a> {
     }
 
     /// Named effects with their intervals.
-    fn found(&self, fit: &Fit<'_>) -> Vec<Found> {
+    fn found(&self, fit: &Fit<'a>) -> Vec<Found> {
         let members = self.members(fit);
         let of = |(index, instance): (usize, &Instance)| {
             let (start, halves) = (fit.model.start(index), averaged(fit, index, &members));
@@ -274,7 +287,7 @@ impl<'a> Answer<'_, 'a> {
                 is_standing: false,
             }
         };
-        fit.model.effects.iter().enumerate().map(of).collect()
+        fit.model.effects.iter().enumerate().filter(|(_, e)| e.is_named()).map(of).collect()
     }
 }
 
@@ -333,8 +346,9 @@ fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
         .collect()
 }
 
+/// Kinds of the named effects.
 fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
-    let mut kinds: Vec<&'static str> = fit.model.effects.iter().map(|e| e.kind).collect();
+    let mut kinds: Vec<&'static str> = fit.model.effects.iter().filter(|e| e.is_named()).map(|e| e.kind).collect();
     kinds.sort_unstable();
     kinds
 }

@@ -9,7 +9,7 @@
 mod proposals;
 
 use super::few::Few;
-use super::forward::{Forward, channels};
+use super::forward::{Forward, Prediction, channels};
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Start, Stop, combined, square};
 use super::weights::{Rows, Spread, Weights};
@@ -71,6 +71,7 @@ impl<'a> Competition<'a> {
         let instances: Vec<Instance> = effects::instances(array).into_iter().filter(acts).collect();
         let mut places: BTreeMap<&'static str, f64> = BTreeMap::new();
         instances.iter().for_each(|i| *places.entry(i.kind).or_default() += 1.0);
+        effects::unnamed(array).iter().for_each(|i| *places.entry(i.kind).or_default() += 1.0);
         let kinds = places.len() as f64;
         let ln_place = places.iter().map(|(kind, n)| (*kind, -(kinds * n).ln())).collect();
         Self { fitter, few, instances, ln_place, max_effects, fits: vec![declared], expanded: Vec::new() }
@@ -90,6 +91,19 @@ impl<'a> Competition<'a> {
             0.0
         };
         self.ln_place.get(instance.kind).copied().unwrap_or(-10.0) + ONE_MORE.ln() - hidden
+    }
+
+    /// What a model predicts by its named effects alone.
+    pub fn named(&self, fit: &Fit<'a>) -> Option<Arc<Prediction>> {
+        let n = fit.model.declared.len();
+        let mut x = fit.x[..n].to_vec();
+        let mut model = Model { declared: fit.model.declared, effects: Vec::new() };
+        for (i, effect) in fit.model.effects.iter().enumerate().filter(|(_, e)| e.is_named()) {
+            let start = fit.model.start(i);
+            x.extend(&fit.x[start..start + effect.free.len()]);
+            model.effects.push(effect.clone());
+        }
+        self.fitter.predict(&model, &x).ok()
     }
 
     /// The most probable model.
@@ -120,7 +134,8 @@ impl<'a> Competition<'a> {
             // What is simpler first: it may do as well.
             let open = (0..best.len()).map(without).chain([best.clone()]);
             let is_open = |set: &Vec<Instance>| {
-                set.len() < self.max_effects && !self.expanded.iter().any(|e| is_same_set(e, set))
+                set.iter().filter(|e| e.is_named()).count() < self.max_effects
+                    && !self.expanded.iter().any(|e| is_same_set(e, set))
             };
             let Some(next) = open.into_iter().find(is_open) else { break };
             self.expand(next, progress)?;
@@ -232,6 +247,7 @@ impl<'a> Competition<'a> {
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
         let mut heats = self.heats(&by, &by, &start, &start, false);
+        heats.extend(self.unnamed(&by, &start));
         if base.is_strained() {
             // Far from what the records say only the lowest modes tell where to go.
             let lowest = by.of_lowest_modes();
@@ -292,6 +308,26 @@ impl<'a> Competition<'a> {
             found.ok()
         };
         distinct(singles).into_iter().chain(pairs).filter_map(fitted).collect()
+    }
+
+    /// The best first fit of what has no name beside `base`: a response of one sensor, or of each.
+    fn unnamed(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Option<Fit<'a>> {
+        if base.model.effects.iter().any(|e| !e.is_named()) {
+            return None;
+        }
+        let all = effects::unnamed(&by.forward.problem.array);
+        let alone = all.iter().map(|response| vec![response.clone()]);
+        let together = Some(all.clone()).filter(|all| all.len() > 1);
+        let fitted = |responses: Vec<Instance>| {
+            let effects = [&base.model.effects[..], &responses].concat();
+            let model = Model { declared: base.model.declared, effects };
+            let mut x = base.x.clone();
+            x.resize(model.len(), 0.0);
+            let slopes = base.slopes.iter().cloned().map(Some).collect();
+            by.fit(Start { slopes, ..Start::at(model, x) }, HEAT).ok()
+        };
+        let fits = alone.chain(together).filter_map(fitted);
+        fits.max_by(|a, b| self.log_posterior(a).total_cmp(&self.log_posterior(b)))
     }
 
     /// Whether the tolerances of `heat` are where slopes at `base` are of use.
