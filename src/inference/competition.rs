@@ -27,10 +27,11 @@ const FINALS: usize = 3;
 const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
-/// ln of the odds against the best within which models are fitted to the end, and within which they are fitted again when what is expected
-/// of residuals has changed.
+/// ln of the odds against the best within which models count for the answer, within which they are fitted to the end, and within which they
+/// are kept when what is expected of residuals has changed.
+const COUNTS: f64 = 5.0;
 const CLOSE: f64 = 10.0;
-const FAR: f64 = 100.0;
+const FAR: f64 = 30.0;
 /// Most rounds of the competition.
 const ROUNDS: usize = 12;
 /// Most rounds at the end.
@@ -143,7 +144,7 @@ impl<'a> Competition<'a> {
         self.settle(progress)
     }
 
-    /// Fits to the end whatever is close to the best.
+    /// Fits to the end whatever counts for the answer.
     fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
         for _ in 0..SETTLINGS {
             self.renew_anchor()?;
@@ -151,7 +152,7 @@ impl<'a> Competition<'a> {
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {
                 let fit = &self.fits[i];
-                if i == 0 || self.log_posterior(fit) > highest - CLOSE {
+                if i == 0 || self.log_posterior(fit) > highest - COUNTS {
                     self.fits[i] = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
                     progress.note(&self.described(&self.fits[i]));
                 }
@@ -336,10 +337,10 @@ impl<'a> Competition<'a> {
         base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
     }
 
-    /// Fits from `start` and keeps that; to the end where it comes anywhere near the best.
+    /// Fits from `start` and keeps that; to the end where it comes close to the best.
     fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) {
         let Ok(mut found) = self.fitter.fit(start, Stop::CLOSE) else { return };
-        if self.log_posterior(&found) > self.log_posterior(self.best()) - FAR {
+        if self.log_posterior(&found) > self.log_posterior(self.best()) - CLOSE {
             let Ok(exact) = self.fitter.fit(Start::from(found), Stop::EXACT) else { return };
             found = exact;
         }

@@ -26,7 +26,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        35
+        36
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -22,7 +22,7 @@ impl Stage for NullTwins {
     }
 
     fn version(&self) -> u32 {
-        15
+        16
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -27,7 +27,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn reads(&self) -> &'static [&'static str] {
