@@ -137,6 +137,11 @@ impl Array {
         self.sensors().map(|s| Instance::new(kind, [("sensor", s.into())], free.to_vec())).collect()
     }
 
+    /// One instance of `kind` at every output sensor.
+    pub fn one_each_output(&self, kind: &'static str, free: &[Free]) -> Vec<Instance> {
+        self.outputs.iter().map(|s| Instance::new(kind, [("sensor", s.as_str().into())], free.to_vec())).collect()
+    }
+
     /// Depths that cut the column at its sensors: 0, the output sensors' depths rising, the base.
     pub fn cuts_m(&self) -> Vec<f64> {
         let mut cuts = self.depths_m.clone();

@@ -59,8 +59,7 @@ const AROUND_HZ: f64 = 0.25;
 /// One for each output sensor.
 fn instances(array: &Array) -> Vec<Instance> {
     let free = [Free::new(&PARAMETERS[0], 0.0), Free::new(&PARAMETERS[1], START_HZ)];
-    let outputs = array.sensors().filter(|sensor| *sensor != array.input);
-    outputs.map(|sensor| Instance::new(ENTRY.name, [("sensor", sensor.into())], free.to_vec())).collect()
+    array.one_each_output(ENTRY.name, &free)
 }
 
 /// Replaces part of the motion of a sensor by one of the same power that has nothing to do with it.
@@ -123,17 +122,16 @@ impl Effect for Incoherence {
             power.sqrt() * sample
         };
         let noise: Vec<f64> = envelope.iter().map(normal).collect();
-        let (mut frequencies_hz, mut powers) = (Vec::new(), [Vec::new(), Vec::new()]);
+        let (mut step_hz, mut powers) = (f64::INFINITY, [Vec::new(), Vec::new()]);
         let zero = Complex::new(0.0, 0.0);
         spectrum::respond([x, &noise], dt_s, |f, both| {
             // The constant is asked about twice.
             if f > 0.0 {
-                frequencies_hz.push(f);
+                step_hz = step_hz.min(f);
                 powers.iter_mut().zip(both).for_each(|(p, value)| p.push(value.norm_sqr()));
             }
             [zero; 2]
         });
-        let step_hz = frequencies_hz.first().copied().unwrap_or(1.0);
         let [own, drawn] = powers.map(|p| running_mean(&p, (AROUND_HZ / step_hz).ceil() as usize));
         let [added, _] = spectrum::respond([x, &noise], dt_s, |f, [x, noise]| {
             let k = ((f / step_hz).round() as usize).saturating_sub(1).min(own.len() - 1);

@@ -60,8 +60,7 @@ const PARAMETERS: &[Parameter] = &[
 /// One for each output sensor.
 fn instances(array: &Array) -> Vec<Instance> {
     let free: Vec<Free> = PARAMETERS.iter().map(|p| Free::new(p, 0.0)).collect();
-    let outputs = array.sensors().filter(|sensor| *sensor != array.input);
-    outputs.map(|sensor| Instance::new(ENTRY.name, [("sensor", sensor.into())], free.clone())).collect()
+    array.one_each_output(ENTRY.name, &free)
 }
 
 /// Multiplies what a sensor records by a smooth complex factor.

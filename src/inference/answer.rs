@@ -110,7 +110,9 @@ impl<'a> Answer<'_, 'a> {
         let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
         let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
-        let is_unnamed = self.probability(|fit| fit.model.effects.iter().any(|e| !e.is_named())) > 0.5;
+        let has_unnamed = |fit: &Fit<'a>| fit.model.effects.iter().any(|e| !e.is_named());
+        let unnamed = self.probabilities().filter(|(fit, _)| has_unnamed(fit)).map(|(_, p)| p).sum::<f64>();
+        let is_unnamed = unnamed > 0.5;
         let mut rest = self.rest(answer, is_unnamed);
         let verdict = match (sure, rest.verdict) {
             (Some(_), _) => Verdict::Known,
@@ -188,29 +190,22 @@ impl<'a> Answer<'_, 'a> {
 
     /// Share of the power of the recalibrated model's residual that is not there any more.
     fn explained_share(&self, fit: &Fit<'a>) -> f64 {
-        let prediction = self.competition.named(fit).unwrap_or_else(|| fit.prediction.clone());
-        1.0 - self.misfit(&prediction) / self.misfit(&self.competition.fits[0].prediction).max(f64::MIN_POSITIVE)
+        1.0 - self.misfit(&self.competition.named(fit))
+            / self.misfit(&self.competition.fits[0].prediction).max(f64::MIN_POSITIVE)
     }
 
-    /// Posterior probability of the models that `is_meant` takes.
-    fn probability(&self, is_meant: impl Fn(&Fit<'a>) -> bool) -> f64 {
+    /// Every fitted model with its posterior probability.
+    fn probabilities(&self) -> impl Iterator<Item = (&Fit<'a>, f64)> {
         let highest = self.competition.log_posterior(self.competition.best());
-        let density = |fit: &&Fit<'a>| (self.competition.log_posterior(fit) - highest).exp();
-        let fits = &self.competition.fits;
-        fits.iter().filter(|f| is_meant(f)).map(|f| density(&f)).sum::<f64>()
-            / fits.iter().map(|f| density(&f)).sum::<f64>()
+        let density = move |fit: &Fit<'a>| (self.competition.log_posterior(fit) - highest).exp();
+        let total: f64 = self.competition.fits.iter().map(density).sum();
+        self.competition.fits.iter().map(move |fit| (fit, density(fit) / total))
     }
 
     /// Posterior probability of each set of kinds.
     fn masses(&self) -> BTreeMap<Vec<&'static str>, f64> {
-        let fits = &self.competition.fits;
-        let highest = self.competition.log_posterior(self.competition.best());
         let mut mass: BTreeMap<Vec<&'static str>, f64> = BTreeMap::new();
-        for fit in fits {
-            *mass.entry(kinds(fit)).or_default() += (self.competition.log_posterior(fit) - highest).exp();
-        }
-        let total: f64 = mass.values().sum();
-        mass.values_mut().for_each(|m| *m /= total);
+        self.probabilities().for_each(|(fit, p)| *mass.entry(kinds(fit)).or_default() += p);
         mass
     }
 
@@ -230,7 +225,7 @@ impl<'a> Answer<'_, 'a> {
 
     /// What remains beside the named effects of `fit`, and whether part of it is known to have no name.
     fn rest(&self, fit: &Fit<'a>, is_unnamed: bool) -> Rest {
-        let prediction = self.competition.named(fit).unwrap_or_else(|| fit.prediction.clone());
+        let prediction = self.competition.named(fit);
         let spread = Spread::estimated(self.forward, &prediction);
         let [repeatable, strays, recorded] = residual_powers(self.forward, &prediction, &spread);
         let share = [repeatable, strays].map(|p| p / recorded.max(f64::MIN_POSITIVE));

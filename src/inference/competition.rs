@@ -70,9 +70,10 @@ impl<'a> Competition<'a> {
             effects::build(&i.at(&at)).is_ok_and(|e| e.refusal(&array.profile).is_none())
         };
         let instances: Vec<Instance> = effects::instances(array).into_iter().filter(acts).collect();
+        let unnamed = effects::unnamed(array);
         let mut places: BTreeMap<&'static str, f64> = BTreeMap::new();
-        instances.iter().for_each(|i| *places.entry(i.kind).or_default() += 1.0);
-        effects::unnamed(array).iter().for_each(|i| *places.entry(i.kind).or_default() += 1.0);
+        let all = instances.iter().chain(&unnamed);
+        all.for_each(|i| *places.entry(i.kind).or_default() += 1.0);
         let kinds = places.len() as f64;
         let ln_place = places.iter().map(|(kind, n)| (*kind, -(kinds * n).ln())).collect();
         Self { fitter, few, instances, ln_place, max_effects, fits: vec![declared], expanded: Vec::new() }
@@ -95,7 +96,10 @@ impl<'a> Competition<'a> {
     }
 
     /// What a model predicts by its named effects alone.
-    pub fn named(&self, fit: &Fit<'a>) -> Option<Arc<Prediction>> {
+    pub fn named(&self, fit: &Fit<'a>) -> Arc<Prediction> {
+        if fit.model.effects.iter().all(Instance::is_named) {
+            return fit.prediction.clone();
+        }
         let n = fit.model.declared.len();
         let mut x = fit.x[..n].to_vec();
         let mut model = Model { declared: fit.model.declared, effects: Vec::new() };
@@ -104,7 +108,7 @@ impl<'a> Competition<'a> {
             x.extend(&fit.x[start..start + effect.free.len()]);
             model.effects.push(effect.clone());
         }
-        self.fitter.predict(&model, &x).ok()
+        self.fitter.predict(&model, &x).unwrap_or_else(|_| fit.prediction.clone())
     }
 
     /// The most probable model.
@@ -352,8 +356,8 @@ impl<'a> Competition<'a> {
     /// that lacks a strong effect points only near its place.
     fn move_places(&mut self, progress: &dyn Progress) {
         let mut tried: Vec<Vec<Instance>> = Vec::new();
+        let by = self.few.fitter(&self.fitter);
         loop {
-            let by = self.few.fitter(&self.fitter);
             let best = self.best().clone();
             if tried.iter().any(|t| is_same_set(t, &best.model.effects)) {
                 return;

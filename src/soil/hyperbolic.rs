@@ -1,6 +1,6 @@
 //! Modified hyperbolic backbone with extended Masing rules, for sites that have little more than a velocity profile.
 
-use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response, update_alone};
 use crate::error::Result;
 use crate::numerics::lanes::raise;
 use crate::registry::{Entry, params};
@@ -234,9 +234,7 @@ impl Law for Hyperbolic {
     }
 
     fn update(&self, increment: Increment, committed: &[f64], trial: &mut [f64]) -> Result<Response, Refusal> {
-        let mut response = [Response::default()];
-        self.update_all(&[increment], committed, trial, &mut response).map_err(|(_, refusal)| refusal)?;
-        Ok(response[0])
+        update_alone(self, increment, committed, trial)
     }
 
     fn update_all(

@@ -182,6 +182,18 @@ pub trait Law: Send + Sync {
     }
 }
 
+/// [`Law::update`] of a law that is written for many points: the increment of one of them.
+fn update_alone(
+    law: &impl Law,
+    increment: Increment,
+    committed: &[f64],
+    trial: &mut [f64],
+) -> Result<Response, Refusal> {
+    let mut response = [Response::default()];
+    law.update_all(&[increment], committed, trial, &mut response).map_err(|(_, refusal)| refusal)?;
+    Ok(response[0])
+}
+
 /// Collects range problems as (key, sentence).
 struct Ranges(Vec<String>);
 

@@ -1,6 +1,6 @@
 //! A law whose shear is scaled by a slowly changing memory: what softening and rate dependence have in common.
 
-use super::{Damping, Increment, Law, Point, Refusal, Response};
+use super::{Damping, Increment, Law, Point, Refusal, Response, update_alone};
 use crate::error::{Error, Result};
 
 /// Two factors on the shear of a law, and the memory they follow from.
@@ -105,9 +105,7 @@ impl Law for Scaled {
     }
 
     fn update(&self, increment: Increment, committed: &[f64], trial: &mut [f64]) -> Result<Response, Refusal> {
-        let mut response = [Response::default()];
-        self.update_all(&[increment], committed, trial, &mut response).map_err(|(_, refusal)| refusal)?;
-        Ok(response[0])
+        update_alone(self, increment, committed, trial)
     }
 
     fn update_all(

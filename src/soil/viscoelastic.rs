@@ -1,7 +1,7 @@
 //! Small-strain damping of a law: its stress relaxes a little, at many rates.
 
 use super::relaxation::{N_BODY, relaxations, times_s};
-use super::{Damping, Increment, Law, Point, Refusal, Relaxation, Response};
+use super::{Damping, Increment, Law, Point, Refusal, Relaxation, Response, update_alone};
 use crate::error::{Error, Result};
 
 /// A law whose stress passes a relaxation.
@@ -149,9 +149,7 @@ impl Law for Viscoelastic {
     }
 
     fn update(&self, increment: Increment, committed: &[f64], trial: &mut [f64]) -> Result<Response, Refusal> {
-        let mut response = [Response::default()];
-        self.update_all(&[increment], committed, trial, &mut response).map_err(|(_, refusal)| refusal)?;
-        Ok(response[0])
+        update_alone(self, increment, committed, trial)
     }
 
     fn update_all(

@@ -47,17 +47,16 @@ impl<'a> Fitter<'a> {
     /// ```
     ///
     /// D are the prior standard deviations, s is [`SHARE`], what is not replayed goes along as the records ask, and what is at an end of
-    /// its range stays there. A difference is wrong
-    /// by a share of its own size. Taken coordinate by coordinate, the difference of two that do nearly the same is lost in that; taken
-    /// along the principal axes of the posterior, what changes records little is known as well as what changes them much.
+    /// its range stays there. A difference is wrong by a share of its own size. Taken coordinate by coordinate, the difference of two that
+    /// do nearly the same is lost in that; taken along the principal axes of the posterior, what changes records little is known as well
+    /// as what changes them much.
     pub(super) fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Mat<f64>> {
         let (prior, bounds, n) = (model.prior(), model.bounds(), model.len());
         let same = model.same(&at.x);
         let replayed = turned(model, &same, &at.x);
         let a = information(model, &self.normal(slopes, &at.rows));
-        // What does as a declared value does stays where it is, too.
-        let is_held = |i: usize| model.is_at_end(&at.x, i) || same.iter().any(|(effect, _)| *effect == i);
-        let free = |i: usize, j: usize| if is_held(i) || is_held(j) { f64::from(u8::from(i == j)) } else { a[(i, j)] };
+        let held: Vec<bool> = (0..n).map(|i| is_held(model, &same, &at.x, i)).collect();
+        let free = |i: usize, j: usize| if held[i] || held[j] { f64::from(u8::from(i == j)) } else { a[(i, j)] };
         let c = inverse(&Mat::from_fn(n, n, free))?;
         let p = replayed.len();
         let deviation = |k: usize| prior[replayed[k]][1];
@@ -166,6 +165,10 @@ impl<'a> Fitter<'a> {
 
 /// Coordinates whose slopes are taken along displacements of all of them: what is replayed and free to go to either side.
 fn turned(model: &Model<'_>, same: &Same, x: &[f64]) -> Vec<usize> {
-    let is_held = |i: &usize| model.is_at_end(x, *i) || same.iter().any(|(effect, _)| effect == i);
-    (0..model.len()).filter(|i| model.is_replayed(*i) && !is_held(i)).collect()
+    (0..model.len()).filter(|i| model.is_replayed(*i) && !is_held(model, same, x, *i)).collect()
+}
+
+/// Whether coordinate `i` stays where it is: at an end of its range, or doing what a declared value does.
+fn is_held(model: &Model<'_>, same: &Same, x: &[f64], i: usize) -> bool {
+    model.is_at_end(x, i) || same.iter().any(|(effect, _)| *effect == i)
 }
