@@ -27,10 +27,9 @@ const FINALS: usize = 3;
 const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
-/// ln of the odds against the best within which models count for the answer, within which they are fitted to the end, and within which they
-/// are kept when what is expected of residuals has changed.
+/// ln of the odds against the best within which models count for the answer, and within which they are kept when what is expected of
+/// residuals has changed.
 const COUNTS: f64 = 5.0;
-const CLOSE: f64 = 10.0;
 const FAR: f64 = 30.0;
 /// Most rounds of the competition.
 const ROUNDS: usize = 12;
@@ -168,7 +167,8 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
-    /// Takes out what few elements leave wrong beside the best model, until the records cannot tell what is left of that.
+    /// Fits the best model to the end and takes out what few elements leave wrong beside it, until the records cannot tell what is left of
+    /// that.
     fn renew_anchor(&mut self) -> Result<()> {
         for _ in 0..ANCHORS {
             let best = self.best().clone();
@@ -179,7 +179,7 @@ impl<'a> Competition<'a> {
             let Some(index) = self.known(&best.model.effects) else { break };
             let there = self.fits[index].clone();
             let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
-            if 0.5 * square(&moved) < TOLD {
+            if 0.5 * square(&moved) < TOLD && there.axes.is_some() {
                 break;
             }
             self.fits[index] = self.fitter.fit(Start::from(there), Stop::EXACT)?;
@@ -341,13 +341,9 @@ impl<'a> Competition<'a> {
         base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
     }
 
-    /// Fits from `start` and keeps that; to the end where it comes close to the best.
+    /// Fits from `start` and keeps that; what it is compared with in the end is fitted to the end then.
     fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) {
-        let Ok(mut found) = self.fitter.fit(start, Stop::CLOSE) else { return };
-        if self.log_posterior(&found) > self.log_posterior(self.best()) - CLOSE {
-            let Ok(exact) = self.fitter.fit(Start::from(found), Stop::EXACT) else { return };
-            found = exact;
-        }
+        let Ok(found) = self.fitter.fit(start, Stop::CLOSE) else { return };
         progress.note(&self.described(&found));
         self.keep(found);
     }
@@ -399,7 +395,7 @@ impl<'a> Competition<'a> {
             slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
-        self.fitter.fit(Start { slopes, ..Start::at(model, x) }, Stop::EXACT)
+        self.fitter.fit(Start { slopes, ..Start::at(model, x) }, Stop::CLOSE)
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.

@@ -11,6 +11,7 @@ use crate::error::Result;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use rayon::prelude::*;
+use slopes::Axes;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -50,8 +51,8 @@ pub struct Fit<'a> {
     pub slopes: Vec<Arc<Rows>>,
     /// Normal equations: information on the coordinates, and in the last row and column the right-hand side.
     pub g: Mat<f64>,
-    /// Displacements along which the slopes were taken here, column by column; none where they were carried here.
-    pub along: Option<Mat<f64>>,
+    /// Along which axes the slopes were taken here; none where they were carried here.
+    pub axes: Option<Axes>,
 }
 
 /// When a fit ends.
@@ -96,20 +97,20 @@ pub struct Start<'a> {
     pub x: Vec<f64>,
     /// Slopes that are known already, by coordinate.
     pub slopes: Vec<Option<Arc<Rows>>>,
-    /// Displacements along which slopes at `x` are to be taken.
-    pub along: Option<Mat<f64>>,
+    /// Axes along which slopes at `x` are to be taken.
+    pub axes: Option<Axes>,
 }
 
 impl<'a> Start<'a> {
     /// From `x`.
     pub fn at(model: Model<'a>, x: Vec<f64>) -> Self {
-        Self { model, x, slopes: Vec::new(), along: None }
+        Self { model, x, slopes: Vec::new(), axes: None }
     }
 
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
-        let Fit { model, x, slopes, along, .. } = found;
-        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), along }
+        let Fit { model, x, slopes, axes, .. } = found;
+        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes }
     }
 
     /// From the fit `found`, its slopes taken anew by other weights.
@@ -235,11 +236,12 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed at the start.
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
-        let Start { model, x, slopes: known, mut along } = start;
+        let Start { model, x, slopes: known, mut axes } = start;
         let mut at = self.point(&model, x)?;
-        let taken = along.as_ref().filter(|_| known.is_empty()).and_then(|along| self.slopes_along(&model, &at, along));
+        let taken =
+            axes.as_ref().filter(|_| known.is_empty()).and_then(|axes| self.slopes_along(&model, &at, axes, None));
         let mut slopes = taken.unwrap_or_else(|| self.slopes(&model, &at, &known));
-        let mut is_fresh = along.is_some();
+        let mut is_fresh = axes.is_some();
         let mut renewals = 0;
         let mut radius = RADIUS[0];
         for _ in 0..stop.steps {
@@ -268,11 +270,12 @@ impl<'a> Fitter<'a> {
                     at = found;
                     let known: Vec<Option<Arc<Rows>>> = slopes.into_iter().map(Some).collect();
                     slopes = self.slopes(&model, &at, &known);
-                    (is_fresh, along, renewals) = (false, None, 0);
+                    (is_fresh, axes, renewals) = (false, None, 0);
                 }
                 _ if !is_fresh => {
-                    along = self.principal(&model, &at, &slopes);
-                    let taken = along.as_ref().and_then(|along| self.slopes_along(&model, &at, along));
+                    axes = self.principal(&model, &at, &slopes);
+                    let taken =
+                        axes.as_ref().and_then(|axes| self.slopes_along(&model, &at, axes, Some(&slopes)));
                     let taken = taken.unwrap_or_else(|| self.slopes(&model, &at, &[]));
                     let evidence = |slopes: &[Arc<Rows>]| occam(&model, &at.x, &self.normal(slopes, &at.rows));
                     renewals += 1;
@@ -285,8 +288,8 @@ impl<'a> Fitter<'a> {
         let g = self.normal(&slopes, &at.rows);
         let cost = self.cost(&model, &at);
         let Point { x, prediction, rows, .. } = at;
-        let along = along.filter(|_| is_fresh);
-        Ok(Fit { model, x, prediction, rows, cost, slopes, g, along })
+        let axes = axes.filter(|_| is_fresh);
+        Ok(Fit { model, x, prediction, rows, cost, slopes, g, axes })
     }
 }
 
@@ -512,8 +515,9 @@ mod tests {
             let model = &fit.model;
             let at = fitter.point(model, fit.x.clone()).unwrap();
             let by_coordinate = fitter.slopes(model, &at, &[]);
-            let along = fitter.principal(model, &at, &by_coordinate).unwrap();
-            let slopes = fitter.slopes_along(model, &at, &along).unwrap();
+            let axes = fitter.principal(model, &at, &by_coordinate).unwrap();
+            let slopes = fitter.slopes_along(model, &at, &axes, None).unwrap();
+            let along = &axes.along;
             let size = |i: usize| square(&by_coordinate[i]).sqrt() * model.prior()[i][1];
             let largest = (0..model.len()).map(size).fold(0.0, f64::max);
             for (i, (a, b)) in slopes.iter().zip(&by_coordinate).enumerate() {

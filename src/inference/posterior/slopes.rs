@@ -10,6 +10,17 @@ use std::sync::Arc;
 
 /// Length of the displacements along which slopes are taken, posterior standard deviations.
 const SHARE: f64 = 0.5;
+/// Posterior over prior variance along a principal axis above which the records tell so little of it (½ ln of it of the evidence) that no
+/// replay of its slope is worth its time.
+const UNTOLD: f64 = 0.8;
+
+/// Displacements of all coordinates along which slopes are taken, column by column.
+#[derive(Clone)]
+pub struct Axes {
+    pub(super) along: Mat<f64>,
+    /// Whether the records tell something along each.
+    is_told: Vec<bool>,
+}
 
 /// Coordinates that do what declared values do, each with these and how far they go for one unit of it.
 type Same = [(usize, Vec<(usize, f64)>)];
@@ -50,7 +61,7 @@ impl<'a> Fitter<'a> {
     /// its range stays there. A difference is wrong by a share of its own size. Taken coordinate by coordinate, the difference of two that
     /// do nearly the same is lost in that; taken along the principal axes of the posterior, what changes records little is known as well
     /// as what changes them much.
-    pub(super) fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Mat<f64>> {
+    pub(super) fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Axes> {
         let (prior, bounds, n) = (model.prior(), model.bounds(), model.len());
         let same = model.same(&at.x);
         let replayed = turned(model, &same, &at.x);
@@ -63,6 +74,7 @@ impl<'a> Fitter<'a> {
         let scaled = Mat::from_fn(p, p, |i, j| c[(replayed[i], replayed[j])] / (deviation(i) * deviation(j)));
         let axes = scaled.self_adjoint_eigen(Side::Lower).ok()?;
         let mut along = Mat::zeros(n, p);
+        let is_told = (0..p).map(|k| axes.S()[k] < UNTOLD).collect();
         for k in 0..p {
             let lambda = axes.S()[k].max(f64::MIN_POSITIVE);
             let pulled: Vec<f64> = (0..p).map(|i| axes.U()[(i, k)] / (deviation(i) * lambda.sqrt())).collect();
@@ -80,11 +92,18 @@ impl<'a> Fitter<'a> {
             let share = if up >= down { up } else { -down };
             moved.iter().enumerate().for_each(|(i, d)| along[(i, k)] = share * d);
         }
-        Some(along)
+        Some(Axes { along, is_told })
     }
 
-    /// Slopes by replays `along` displacements of what is replayed, and by each of the other coordinates.
-    pub(super) fn slopes_along(&self, model: &Model<'a>, at: &Point, along: &Mat<f64>) -> Option<Vec<Arc<Rows>>> {
+    /// Slopes by replays along the `axes` of what is replayed, and by each of the other coordinates. Where the records tell nothing along
+    /// an axis, what is `known` of it will do.
+    pub(super) fn slopes_along(
+        &self,
+        model: &Model<'a>,
+        at: &Point,
+        Axes { along, is_told }: &Axes,
+        known: Option<&[Arc<Rows>]>,
+    ) -> Option<Vec<Arc<Rows>>> {
         let same = model.same(&at.x);
         let replayed = turned(model, &same, &at.x);
         let p = replayed.len();
@@ -97,10 +116,15 @@ impl<'a> Fitter<'a> {
             return None;
         }
         let nothing = Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
-        let known: Vec<_> = (0..model.len()).map(|i| replayed.contains(&i).then(|| nothing.clone())).collect();
-        let mut slopes = self.slopes(model, at, &known);
+        let apart: Vec<_> = (0..model.len()).map(|i| replayed.contains(&i).then(|| nothing.clone())).collect();
+        let mut slopes = self.slopes(model, at, &apart);
         let mut changes: Vec<Rows> = Vec::with_capacity(p);
         for k in 0..p {
+            if let Some(known) = known.filter(|_| !is_told[k]) {
+                let sum = |sum: Rows, i: &usize| combined(&sum, &known[*i], 1.0, along[(*i, k)]);
+                changes.push(replayed.iter().fold(nothing.to_vec(), sum));
+                continue;
+            }
             let beside: Vec<f64> = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
             let mut change = combined(&self.point(model, beside).ok()?.rows, &at.rows, 1.0, -1.0);
             for i in (0..model.len()).filter(|i| !replayed.contains(i) && along[(*i, k)] != 0.0) {
