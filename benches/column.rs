@@ -104,9 +104,9 @@ fn laws(c: &mut Criterion) {
 fn solve(c: &mut Criterion) {
     let n = 200;
     let mut matrix = BlockTridiagonal::new(n);
-    matrix.diagonal.fill([4.0, 0.1, 0.1, 4.0]);
-    matrix.upper.fill([-1.0, 0.0, 0.0, -1.0]);
-    matrix.lower.fill([-1.0, 0.0, 0.0, -1.0]);
+    matrix.diagonal.fill([[4.0, 0.1], [0.1, 4.0]]);
+    matrix.upper.fill([[-1.0, 0.0], [0.0, -1.0]]);
+    matrix.lower.fill([[-1.0, 0.0], [0.0, -1.0]]);
     let mut x = vec![[1.0, 0.5]; n];
     c.bench_function("solve_200_nodes", |b| b.iter(|| matrix.solve(&mut x)));
 }

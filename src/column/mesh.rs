@@ -45,7 +45,8 @@ pub(super) struct Mesh {
     /// Dashpots between the nodes and the input motion: mass-proportional damping, a compliant base; kg/(m² s).
     pub dashpot: Vec<[f64; 2]>,
     pub structure: Structure,
-    pub is_restrained: bool,
+    /// Whether nodes move vertically: they may, and a law makes them.
+    pub moves_vertically: bool,
     pub is_compliant: bool,
     pub frequency_hz: f64,
 }
@@ -63,7 +64,7 @@ impl Mesh {
             mass: vec![[0.0; 2]; n_node],
             dashpot: vec![[0.0; 2]; n_node],
             structure: profile.features.structure,
-            is_restrained: profile.vertical == Vertical::Restrained,
+            moves_vertically: false,
             is_compliant,
             frequency_hz,
         };
@@ -83,6 +84,7 @@ impl Mesh {
         let damping: Vec<Damping> = points.iter().map(|point| law.damping(point)).collect();
         let relaxations = relaxations(&damping);
         let law = around.dress(law, relaxations.iter().any(Option::is_some));
+        self.moves_vertically |= profile.vertical == Vertical::Free && law.couples();
         let mut start = vec![0.0; law.n_state() * points.len()];
         let mut elastic_pa = vec![[0.0; 4]; points.len()];
         law.start_all(&points, &mut start, &mut elastic_pa).map_err(|(i, error)| (*error).at(place(cuts[i].layer)))?;

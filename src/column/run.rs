@@ -50,6 +50,20 @@ impl Column {
         base_acceleration_m_s2: &[f64],
         sink: &mut dyn FnMut(&Frame) -> Result<()>,
     ) -> Result<RunSummary, Failure> {
+        if self.mesh.moves_vertically {
+            self.run_nodes::<2>(base_dt_s, base_acceleration_m_s2, sink)
+        } else {
+            self.run_nodes::<1>(base_dt_s, base_acceleration_m_s2, sink)
+        }
+    }
+
+    /// [`Column::run`] of nodes with D degrees of freedom.
+    fn run_nodes<const D: usize>(
+        &self,
+        base_dt_s: f64,
+        base_acceleration_m_s2: &[f64],
+        sink: &mut dyn FnMut(&Frame) -> Result<()>,
+    ) -> Result<RunSummary, Failure> {
         let fail = |time_s, depth_m, cause| Failure { time_s, depth_m, cause };
         let base = base_acceleration_m_s2;
         if base.is_empty() || base.iter().any(|a| !a.is_finite()) || !(base_dt_s.is_finite() && base_dt_s > 0.0) {
@@ -66,7 +80,7 @@ impl Column {
         let output_s = analysis.output_step_s;
         let duration_s = (base.len() - 1) as f64 * base_dt_s;
         let n_output = (duration_s / output_s + 1e-6).floor() as usize;
-        let mut stepper = Stepper::new(self, base[0]);
+        let mut stepper = Stepper::<D>::new(self, base[0]);
         let mut frames = Frames::new(self);
         let mut summary = RunSummary::default();
         let mut step_s = analysis.initial_step_s;
@@ -133,10 +147,10 @@ impl Frames {
         Self { elements_m_s2: zero.clone(), tau_pa: zero.clone(), vertical_pa: zero.clone(), pore_pa: zero }
     }
 
-    fn show(
+    fn show<const D: usize>(
         &mut self,
         column: &Column,
-        stepper: &Stepper,
+        stepper: &Stepper<D>,
         time_s: f64,
         base_m_s2: f64,
         sink: &mut dyn FnMut(&Frame) -> Result<()>,

@@ -4,20 +4,22 @@ use super::Column;
 use super::oscillator::Oscillator;
 use crate::numerics::block_tridiagonal::BlockTridiagonal;
 use crate::soil::{Increment, Refusal, Response};
+use std::array::from_fn;
 
-/// Everything the stepper remembers; allocated once a run.
-pub(super) struct Stepper<'a> {
+/// Everything the stepper remembers; allocated once a run. Nodes have D degrees of freedom: the horizontal one, and the vertical one where
+/// they move that way.
+pub(super) struct Stepper<'a, const D: usize> {
     column: &'a Column,
     /// Displacement is not needed: strains accumulate in the laws. Velocity and acceleration relative to the base.
-    velocity: Vec<[f64; 2]>,
-    pub acceleration: Vec<[f64; 2]>,
-    trial_velocity: Vec<[f64; 2]>,
-    trial_acceleration: Vec<[f64; 2]>,
-    delta: Vec<[f64; 2]>,
-    correction: Vec<[f64; 2]>,
+    velocity: Vec<[f64; D]>,
+    pub acceleration: Vec<[f64; D]>,
+    trial_velocity: Vec<[f64; D]>,
+    trial_acceleration: Vec<[f64; D]>,
+    delta: Vec<[f64; D]>,
+    correction: Vec<[f64; D]>,
     /// Internal plus damping forces at the last accepted time.
-    force: Vec<[f64; 2]>,
-    trial_force: Vec<[f64; 2]>,
+    force: Vec<[f64; D]>,
+    trial_force: Vec<[f64; D]>,
     state: Vec<Vec<f64>>,
     trial_state: Vec<Vec<f64>>,
     increments: Vec<Increment>,
@@ -27,7 +29,7 @@ pub(super) struct Stepper<'a> {
     pub eps_yy: Vec<f64>,
     /// Shear strain since the geostatic state.
     pub gamma: Vec<f64>,
-    matrix: BlockTridiagonal,
+    matrix: BlockTridiagonal<D>,
     structure: Option<Oscillator>,
     /// Largest dynamic stress so far: the scale of the residual.
     scale_pa: f64,
@@ -53,11 +55,11 @@ pub(super) enum Cut {
     Front,
 }
 
-impl<'a> Stepper<'a> {
+impl<'a, const D: usize> Stepper<'a, D> {
     pub fn new(column: &'a Column, base_m_s2: f64) -> Self {
         let mesh = &column.mesh;
         let (n, n_node) = (mesh.elements.len(), mesh.mass.len());
-        let zero = vec![[0.0; 2]; n_node];
+        let zero = vec![[0.0; D]; n_node];
         let state: Vec<Vec<f64>> = mesh.stretches.iter().map(|s| s.start.clone()).collect();
         let responses: Vec<Response> = mesh
             .elements
@@ -68,7 +70,7 @@ impl<'a> Stepper<'a> {
         Self {
             column,
             velocity: zero.clone(),
-            acceleration: vec![[-base_m_s2, 0.0]; n_node],
+            acceleration: vec![from_fn(|k| if k == 0 { -base_m_s2 } else { 0.0 }); n_node],
             trial_velocity: zero.clone(),
             trial_acceleration: zero.clone(),
             delta: zero.clone(),
@@ -93,7 +95,7 @@ impl<'a> Stepper<'a> {
     /// changed nothing that lasts.
     pub fn advance(&mut self, dt: f64, base: f64) -> Result<u32, Cut> {
         let analysis = &self.column.analysis;
-        self.delta.fill([0.0; 2]);
+        self.delta.fill([0.0; D]);
         self.trial_responses.copy_from_slice(&self.responses);
         for (stretch, state) in self.column.mesh.stretches.iter().zip(&self.state) {
             stretch.law.relax_all(dt, state, &mut self.trial_responses[stretch.elements.clone()]);
@@ -136,50 +138,40 @@ impl<'a> Stepper<'a> {
         let c_rate = gamma / (beta * dt);
         let m = &mut self.matrix;
         for ((d, mass), damping) in m.diagonal.iter_mut().zip(&mesh.mass).zip(&mesh.dashpot) {
-            let x = [0, 1].map(|k| mass[k] * c_mass + hht * c_rate * damping[k]);
-            *d = [x[0], 0.0, 0.0, x[1]];
+            *d = [[0.0; D]; D];
+            (0..D).for_each(|k| d[k][k] = mass[k] * c_mass + hht * c_rate * damping[k]);
         }
         let n = mesh.mass.len();
         for (i, (element, response)) in mesh.elements.iter().zip(&self.trial_responses).enumerate() {
             let t = response.tangent_pa;
             let viscous = c_rate * element.beta_s;
             let f = hht / element.height_m;
-            let k = [
-                f * (t[0] + element.container_pa + viscous * element.elastic_pa[0]),
-                f * t[1],
-                f * t[2],
-                f * (t[3] + element.pore_pa + viscous * element.elastic_pa[3]),
-            ];
-            for (d, k) in m.diagonal[i].iter_mut().zip(k) {
-                *d += k;
-            }
+            // Beside the law: a container in shear, pore water vertically, Rayleigh damping in both.
+            let beside = [element.container_pa, element.pore_pa];
+            let entry = |r: usize, c: usize| {
+                let own = t[2 * r + c];
+                f * if r == c { own + beside[r] + viscous * element.elastic_pa[3 * r] } else { own }
+            };
+            let k: [[f64; D]; D] = from_fn(|r| from_fn(|c| entry(r, c)));
+            let add = |d: &mut [[f64; D]; D]| {
+                d.iter_mut().flatten().zip(k.iter().flatten()).for_each(|(d, k)| *d += k);
+            };
+            add(&mut m.diagonal[i]);
             if i + 1 < n {
-                for (d, k) in m.diagonal[i + 1].iter_mut().zip(k) {
-                    *d += k;
-                }
-                m.upper[i] = k.map(|k| -k);
+                add(&mut m.diagonal[i + 1]);
+                m.upper[i] = k.map(|row| row.map(|k| -k));
                 m.lower[i + 1] = m.upper[i];
             }
         }
         if let Some(structure) = &mut self.structure {
-            m.diagonal[0][0] += structure.condensed(c_mass, hht, c_rate);
+            m.diagonal[0][0][0] += structure.condensed(c_mass, hht, c_rate);
         }
-        if mesh.is_compliant {
+        if D == 2 && mesh.is_compliant {
             // The base stays where it is vertically.
-            let (above, base) = (&mut m.upper[n - 2], n - 1);
-            *above = [above[0], 0.0, above[2], 0.0];
-            let below = &mut m.lower[base];
-            *below = [below[0], below[1], 0.0, 0.0];
-            let own = &mut m.diagonal[base];
-            *own = [own[0], 0.0, 0.0, 1.0];
-        }
-        if mesh.is_restrained {
-            for block in m.lower.iter_mut().chain(&mut m.upper) {
-                *block = [block[0], 0.0, 0.0, 0.0];
-            }
-            for d in &mut m.diagonal {
-                *d = [d[0], 0.0, 0.0, 1.0];
-            }
+            let base = n - 1;
+            m.upper[n - 2].iter_mut().for_each(|row| row[D - 1] = 0.0);
+            m.lower[base][D - 1] = [0.0; D];
+            m.diagonal[base] = from_fn(|r| from_fn(|c| if r == c { [m.diagonal[base][0][0], 1.0][r] } else { 0.0 }));
         }
     }
 
@@ -195,14 +187,15 @@ impl<'a> Stepper<'a> {
             structure.correct(self.correction[0][0]);
         }
         for (d, c) in self.delta.iter_mut().zip(&self.correction) {
-            d[0] -= c[0];
-            d[1] -= c[1];
+            (0..D).for_each(|k| d[k] -= c[k]);
         }
         let n = self.delta.len();
         for (i, (element, increment)) in self.column.mesh.elements.iter().zip(&mut self.increments).enumerate() {
-            let below = if i + 1 < n { self.delta[i + 1] } else { [0.0; 2] };
+            let below = if i + 1 < n { self.delta[i + 1] } else { [0.0; D] };
             increment.gamma = (below[0] - self.delta[i][0]) / element.height_m;
-            increment.eps_yy = (below[1] - self.delta[i][1]) / element.height_m;
+            if D == 2 {
+                increment.eps_yy = (below[D - 1] - self.delta[i][D - 1]) / element.height_m;
+            }
         }
         Ok(())
     }
@@ -229,31 +222,32 @@ impl<'a> Stepper<'a> {
         for (((d, v), a), (new_v, new_a)) in
             motion.zip(self.trial_velocity.iter_mut().zip(&mut self.trial_acceleration))
         {
-            for k in 0..2 {
+            for k in 0..D {
                 new_a[k] = (d[k] / dt - v[k]) / (beta * dt) - (0.5 / beta - 1.0) * a[k];
                 new_v[k] = v[k] + dt * ((1.0 - gamma) * a[k] + gamma * new_a[k]);
             }
         }
         for ((f, v), damping) in self.trial_force.iter_mut().zip(&self.trial_velocity).zip(&mesh.dashpot) {
-            *f = [damping[0] * v[0], damping[1] * v[1]];
+            *f = from_fn(|k| damping[k] * v[k]);
         }
         let mut dynamic_pa: f64 = 0.0;
         for (i, (element, response)) in mesh.elements.iter().zip(&self.trial_responses).enumerate() {
-            let below = if i + 1 < n { self.trial_velocity[i + 1] } else { [0.0; 2] };
+            let below = if i + 1 < n { self.trial_velocity[i + 1] } else { [0.0; D] };
             let above = self.trial_velocity[i];
             let viscous = element.beta_s / element.height_m;
-            let eps = self.eps_yy[i] + self.increments[i].eps_yy;
             let gamma = self.gamma[i] + self.increments[i].gamma;
             let tau = (response.tau_pa + element.container_pa * gamma)
                 + viscous * element.elastic_pa[0] * (below[0] - above[0]);
-            let sigma = (response.sigma_yy_pa + element.vertical_pa)
-                + element.pore_pa * eps
-                + viscous * element.elastic_pa[3] * (below[1] - above[1]);
-            self.trial_force[i][0] -= tau;
-            self.trial_force[i][1] -= sigma;
+            let mut traction = [tau; D];
+            if D == 2 {
+                let eps = self.eps_yy[i] + self.increments[i].eps_yy;
+                traction[D - 1] = (response.sigma_yy_pa + element.vertical_pa)
+                    + element.pore_pa * eps
+                    + viscous * element.elastic_pa[3] * (below[D - 1] - above[D - 1]);
+            }
+            (0..D).for_each(|k| self.trial_force[i][k] -= traction[k]);
             if i + 1 < n {
-                self.trial_force[i + 1][0] += tau;
-                self.trial_force[i + 1][1] += sigma;
+                (0..D).for_each(|k| self.trial_force[i + 1][k] += traction[k]);
             }
             dynamic_pa = dynamic_pa.max(tau.abs());
         }
@@ -270,11 +264,13 @@ impl<'a> Stepper<'a> {
         for (i, r) in self.correction.iter_mut().enumerate() {
             let (f, old, a) = (self.trial_force[i], self.force[i], self.trial_acceleration[i]);
             r[0] = mesh.mass[i][0] * (a[0] + base) + (1.0 + alpha) * f[0] - alpha * old[0];
-            r[1] = mesh.mass[i][1] * a[1] + (1.0 + alpha) * f[1] - alpha * old[1];
-            if mesh.is_restrained || (mesh.is_compliant && i + 1 == n) {
-                r[1] = 0.0;
+            let mut worst = r[0].abs();
+            if D == 2 {
+                let is_held = mesh.is_compliant && i + 1 == n;
+                let vertical = mesh.mass[i][1] * a[D - 1] + (1.0 + alpha) * f[D - 1] - alpha * old[D - 1];
+                r[D - 1] = if is_held { 0.0 } else { vertical };
+                worst = worst.max(r[D - 1].abs());
             }
-            let worst = r[0].abs().max(r[1].abs());
             if worst > size || worst.is_nan() {
                 (node, size) = (i, worst);
             }

@@ -94,6 +94,10 @@ impl Law for Elastic {
         })
     }
 
+    fn couples(&self) -> bool {
+        false
+    }
+
     fn pore_stiffness_pa(&self) -> f64 {
         self.k_w_gpa * GPA / self.porosity
     }

@@ -264,6 +264,10 @@ impl Law for Hyperbolic {
         Ok(())
     }
 
+    fn couples(&self) -> bool {
+        false
+    }
+
     fn pore_stiffness_pa(&self) -> f64 {
         self.k_w_gpa * GPA / self.porosity
     }

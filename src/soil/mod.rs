@@ -176,6 +176,12 @@ pub trait Law: Send + Sync {
     /// of a step starts from.
     fn relax_all(&self, _dt_s: f64, _committed: &[f64], _responses: &mut [Response]) {}
 
+    /// Whether shear strain changes vertical stress or vertical strain shear stress. Where neither does, a column shaken sideways does not
+    /// move vertically, and is solved without.
+    fn couples(&self) -> bool {
+        true
+    }
+
     /// Viscosity over elastic stiffness, s: stiffness-proportional damping without which the law is not well posed.
     fn viscosity_s(&self) -> f64 {
         0.0

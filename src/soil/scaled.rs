@@ -152,6 +152,10 @@ impl Law for Scaled {
         Ok(())
     }
 
+    fn couples(&self) -> bool {
+        self.law.couples()
+    }
+
     fn pore_stiffness_pa(&self) -> f64 {
         self.law.pore_stiffness_pa()
     }

@@ -188,6 +188,10 @@ impl Law for Viscoelastic {
         }
     }
 
+    fn couples(&self) -> bool {
+        self.law.couples()
+    }
+
     fn pore_stiffness_pa(&self) -> f64 {
         self.law.pore_stiffness_pa()
     }
