@@ -56,6 +56,17 @@ const PARAMETERS: &[Parameter] = &[
         draw: [0.25, 0.5],
         is_signed: true,
     },
+    Parameter {
+        name: "ln_shift",
+        unit: "",
+        zero: Some(0.0),
+        low: -3.0,
+        high: 3.0,
+        scale: Scale::Linear,
+        prior_sd: 0.5,
+        draw: [0.5, 1.0],
+        is_signed: true,
+    },
 ];
 
 /// Largest power that the memory of a law follows.
@@ -63,10 +74,11 @@ const EXPONENT: f64 = 0.6;
 /// Laws whose small-strain damping is memory of their stress, ξ₀ (f/f_r)ⁿ.
 const LAWS_WITH_MEMORY: [&str; 2] = ["elastic", "hyperbolic"];
 
-/// Each coefficient for the whole column; the exponent where there is small-strain damping that has one.
+/// Each coefficient for the whole column; the exponent where there is small-strain damping that has one. Where Rayleigh damping meets its
+/// ratios is a choice of a program and no effect of a site.
 fn instances(array: &Array) -> Vec<Instance> {
     let has_exponent = array.profile.layers.iter().any(has_memory);
-    let offered = PARAMETERS.iter().filter(|p| p.name != "exponent" || has_exponent);
+    let offered = PARAMETERS.iter().filter(|p| p.name != "ln_shift" && (p.name != "exponent" || has_exponent));
     offered.map(|p| Instance::new(ENTRY.name, [], vec![Free::new(p, 0.0)])).collect()
 }
 
@@ -93,6 +105,7 @@ fn has_memory(layer: &Layer) -> bool {
 /// | b      | `slope`     | –    | 0…0.5  |
 /// | n      | `exponent`  | –    | −0.6…0.6 |
 /// | ln m   | `ln_ratio`  | –    | −3…3   |
+/// | ln of a factor on the frequencies at which Rayleigh damping meets its ratios, declared damping included | `ln_shift` | – | −3…3 |
 /// | range of m and n | `top_m`, `bottom_m` | m | ≥ 0 |
 ///
 /// b is β by another name: the damping ratio it adds at f_r.
@@ -115,6 +128,9 @@ struct FrequencyDependentDamping {
     /// ln of the factor m on its ratio.
     #[serde(default)]
     ln_ratio: f64,
+    /// ln of the factor on the frequencies at which Rayleigh damping meets its ratios.
+    #[serde(default)]
+    ln_shift: f64,
     /// Top of the range of exponent and ratio, m.
     #[serde(default)]
     top_m: f64,
@@ -134,6 +150,7 @@ impl FrequencyDependentDamping {
             ("slope", self.slope, 0.0, 0.5, ""),
             ("exponent", self.exponent, -EXPONENT, EXPONENT, ""),
             ("ln_ratio", self.ln_ratio, -3.0, 3.0, ""),
+            ("ln_shift", self.ln_shift, -3.0, 3.0, ""),
         ])?;
         super::depth_range(self.top_m, self.bottom_m)?;
         Ok(self)
@@ -165,6 +182,8 @@ impl Effect for FrequencyDependentDamping {
         }
         profile.rayleigh.alpha_1_s += self.alpha_1_s;
         profile.rayleigh.beta_s += self.beta_s + self.slope / (std::f64::consts::PI * REFERENCE_HZ); // (1)
+        profile.rayleigh.alpha_1_s *= self.ln_shift.exp();
+        profile.rayleigh.beta_s *= (-self.ln_shift).exp();
     }
 }
 
@@ -183,6 +202,12 @@ mod tests {
         let beta_s = edited("slope = 0.03").beta_s;
         assert!((std::f64::consts::PI * 5.0 * beta_s - 0.03).abs() < 1e-15);
         assert_eq!(edited("slope = 0.0"), Default::default());
+        // The ratio of 0.02 at 1 and 9 Hz is that at 2 and 18 Hz.
+        let at = |f: [f64; 2]| crate::column::Rayleigh::of_ratio(0.02, f.map(|f| std::f64::consts::TAU * f));
+        let [from, to] = [at([1.0, 9.0]), at([2.0, 18.0])];
+        let shift = std::f64::consts::LN_2;
+        let found = edited(&format!("alpha_1_s = {}\nbeta_s = {}\nln_shift = {shift}", from.alpha_1_s, from.beta_s));
+        assert!((found.alpha_1_s - to.alpha_1_s).abs() < 1e-12 && (found.beta_s - to.beta_s).abs() < 1e-12);
     }
 
     #[test]

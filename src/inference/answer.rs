@@ -5,7 +5,7 @@ use super::convention::conventions;
 use super::few::{self, Few};
 use super::forward::{Forward, Prediction};
 use super::parameters::{Declared, Model};
-use super::posterior::{Fit, Fitter, STRAINED, Start, Stop};
+use super::posterior::{Fit, Fitter, Start, Stop};
 use super::weights::{Spread, band_hz, residual_powers};
 use crate::diagnosis::{
     Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Remainder, Replay, Rest, RestVerdict,
@@ -348,7 +348,7 @@ fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
     kinds
 }
 
-/// Tolerances of other things than velocities that the records put farther from what is declared than [`STRAINED`].
+/// Tolerances of other things than velocities at whose end the records put the declared value.
 fn strained(fit: &Fit<'_>) -> Vec<ToleranceAlarm> {
     let declared = fit.model.declared;
     let covariance = fit.covariance();
@@ -359,7 +359,7 @@ fn strained(fit: &Fit<'_>) -> Vec<ToleranceAlarm> {
         let half = NORMAL * covariance.as_ref().map_or(0.0, |c| c[(at, at)].sqrt());
         let value = |z: f64| parameter.value(tolerance.coordinate(z));
         let what = format!("{} {}", tolerance.instance.kind.replace('_', " "), tolerance.instance.place());
-        (deviations.abs() > STRAINED).then(|| ToleranceAlarm {
+        fit.model.is_strained(&fit.x, at).then(|| ToleranceAlarm {
             what: what.trim().to_string(),
             deviations: deviations.abs(),
             estimate: Estimate {

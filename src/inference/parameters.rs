@@ -3,10 +3,11 @@
 //! | parameter                        | coordinate                | prior                                            |
 //! |----------------------------------|---------------------------|--------------------------------------------------|
 //! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`COMMON_VELOCITY_LN`] for all together |
-//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` and [`DAMPING_RATIO`] |
+//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` |
 //! | reference strain, curvature, hysteresis | standard deviations | N(0, 1), [`NONLINEARITY_LN`], [`CURVATURE_LN`], [`HYSTERESIS_LN`] |
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
-//! | Rayleigh damping in place of one that laws remember, by mass and by stiffness | standard deviations | N(0, 1) above nothing, [`rayleigh`] |
+//! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and all, [`rayleigh`] |
+//! | frequencies at which it meets the declared ratio | standard deviations | N(0, 1), [`SHIFT_LN`] |
 //! | a modulus without dispersion | standard deviations | N(0, 1) (`convention`)                             |
 //! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
@@ -30,22 +31,17 @@ pub const CURVATURE_LN: f64 = 0.05;
 pub const HYSTERESIS_LN: f64 = 0.1;
 /// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
 pub const COMMON_VELOCITY_LN: f64 = 0.01;
-/// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
-/// time steps of the program that has it, make of a ratio.
-///
-/// Source: Régnier et al. (2016), doi 10.1785/0120150284, for programs given the same column; Darendeli (2001) has 0.008 for a ratio of
-/// 0.01 in the laboratory alone.
-pub const DAMPING_RATIO: f64 = 0.003;
 /// Standard deviations of the prior of a strength, as multiples of its typical size.
 pub const WIDE: f64 = 1.5;
-/// Least share of a declared damping.
-const LEAST_DAMPING: f64 = 0.05;
 /// ln of what is left of the damping that laws remember where all of it became Rayleigh damping; none of it cannot be had.
 const LEFT_LN: f64 = -2.0;
+/// Prior standard deviation of the ln of the frequencies at which Rayleigh damping in its place meets the declared ratio: programs ask for
+/// it at multiples of the fundamental frequency or at the ends of a band.
+const SHIFT_LN: f64 = 0.5;
 /// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
 const MODES: [usize; 2] = [9, 3];
-/// Farthest an unknown may go from the mean of its prior, standard deviations.
-const FARTHEST: f64 = 3.0;
+/// Farthest that a declared value is within its tolerance, standard deviations: what is farther off is an effect.
+const FARTHEST: f64 = 2.5;
 /// Step of a finite difference, prior standard deviations: records tell some coordinates to a hundredth of them, and replays are smooth to
 /// less.
 const STEP: f64 = 0.02;
@@ -57,10 +53,10 @@ pub struct Tolerance {
     pub instance: Instance,
     /// Prior standard deviation of its coordinate.
     pub deviation: f64,
-    /// That of its value over what is declared, beside the deviation of the coordinate, where this one is a ln; else nothing.
-    absolute: f64,
-    /// What else moves in its table, and how far by deviation; then there is no other side of what is declared.
-    beside: Option<(&'static str, f64)>,
+    /// What else moves in its table, and how far by deviation.
+    beside: Vec<(&'static str, f64)>,
+    /// Smallest and largest coordinate.
+    bounds: [f64; 2],
 }
 
 impl Tolerance {
@@ -69,30 +65,27 @@ impl Tolerance {
         let parameter = effects::find(kind)?.catalogue.parameters.iter().find(|p| p.name == name).ok_or_else(none)?;
         let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
         let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
-        Ok(Self { instance: Instance { kind, target, free }, deviation, absolute: 0.0, beside: None })
+        Ok(Self {
+            instance: Instance { kind, target, free },
+            deviation,
+            beside: Vec::new(),
+            bounds: [-FARTHEST, FARTHEST],
+        })
     }
 
     /// `[[effects]]` table `z` prior standard deviations from what is declared.
     fn table(&self, z: f64) -> Table {
         let mut table = self.instance.at(&[self.coordinate(z)]);
-        if let Some((key, by_deviation)) = self.beside {
-            table.insert(key.into(), (by_deviation * z).into());
+        for (key, by_deviation) in &self.beside {
+            table.insert((*key).into(), (by_deviation * z).into());
         }
         table
     }
 
     /// Coordinate of the effect's parameter `z` prior standard deviations from what is declared.
-    ///
-    /// ```text
-    /// dm/dz = √((a m)² + b²),   m(0) = 1:   m = b/a · sinh(a z + asinh(a/b))  (1)
-    /// ```
-    ///
-    /// for a multiplier m with the deviation a of its ln and an absolute one of b.
     pub fn coordinate(&self, z: f64) -> f64 {
         let p = self.instance.free[0].parameter;
-        let (a, b) = (self.deviation, self.absolute);
-        let moved = if b > 0.0 { (b / a * (a * z + (a / b).asinh()).sinh()).max(LEAST_DAMPING).ln() } else { a * z };
-        p.coordinate(p.zero.unwrap_or(0.0)) + moved
+        p.coordinate(p.zero.unwrap_or(0.0)) + self.deviation * z
     }
 }
 
@@ -123,7 +116,7 @@ impl Declared {
         // What damping depends on before how much there is: a multiplier is of all of it.
         let mut others = rayleigh(&array.profile)?;
         others.extend([
-            damping(array, t.damping_ln)?,
+            Tolerance::new("small_strain_damping", "multiplier", &[], t.damping_ln)?,
             curve("nonlinearity", "ln_gamma_ref", NONLINEARITY_LN)?,
             curve("curve_shape", "ln_curvature", CURVATURE_LN)?,
             curve("curve_shape", "ln_hysteresis", HYSTERESIS_LN)?,
@@ -193,14 +186,12 @@ impl Declared {
         tables
     }
 
-    /// Coordinates that at `z` do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
+    /// Coordinates that do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
     /// declared cannot stand in for it.
-    fn same_as(&self, effect: &Instance, z: &[f64]) -> Vec<(usize, f64)> {
-        let own = |o: &Tolerance| o.beside.is_none() && o.instance.is_one(effect);
+    fn same_as(&self, effect: &Instance) -> Vec<(usize, f64)> {
+        let own = |o: &Tolerance| o.beside.is_empty() && o.instance.is_one(effect);
         if let Some(i) = self.others.iter().position(own) {
-            let at = self.n_mode() + i;
-            let ends = [0.5, -0.5].map(|h| self.others[i].coordinate(z[at] + h * STEP));
-            return vec![(at, STEP / (ends[0] - ends[1]))];
+            return vec![(self.n_mode() + i, 1.0 / self.others[i].deviation)];
         }
         let depth = |key: &str| effect.target.get(key).and_then(toml::Value::as_float);
         let (Some(top_m), Some(bottom_m), 1.., "layer_velocity") =
@@ -222,9 +213,8 @@ impl Declared {
 
     /// Smallest and largest value of coordinate `i`.
     fn bounds(&self, i: usize) -> [f64; 2] {
-        let others = i.checked_sub(self.n_mode()).and_then(|i| self.others.get(i));
-        let has_one_side = others.is_some_and(|o| o.beside.is_some());
-        [if has_one_side { 0.0 } else { -FARTHEST }, FARTHEST]
+        let other = i.checked_sub(self.n_mode()).and_then(|i| self.others.get(i));
+        other.map_or([-FARTHEST, FARTHEST], |o| o.bounds)
     }
 
     /// Whether coordinate `i` changes how the column is shaken.
@@ -283,10 +273,10 @@ impl<'a> Model<'a> {
         self.effects[index].at(&x[start..start + self.effects[index].free.len()])
     }
 
-    /// Coordinates of effects for which declared values can stand in at `x`: coordinate, and [`Declared::same_as`].
-    pub fn same(&self, x: &[f64]) -> Vec<(usize, Vec<(usize, f64)>)> {
+    /// Coordinates of effects for which declared values can stand in: coordinate, and [`Declared::same_as`].
+    pub fn same(&self) -> Vec<(usize, Vec<(usize, f64)>)> {
         let single = self.effects.iter().enumerate().filter(|(_, e)| e.free.len() == 1);
-        let all = single.map(|(i, e)| (self.start(i), self.declared.same_as(e, x)));
+        let all = single.map(|(i, e)| (self.start(i), self.declared.same_as(e)));
         all.filter(|(_, parts)| !parts.is_empty()).collect()
     }
 
@@ -306,6 +296,11 @@ impl<'a> Model<'a> {
     pub fn is_at_end(&self, x: &[f64], i: usize) -> bool {
         let (step, [low, high]) = (STEP * self.prior()[i][1], self.bounds()[i]);
         (x[i] - low).min(high - x[i]) < step
+    }
+
+    /// Whether the declared value `i` is at the end of its tolerance at `x`: it stands in for an effect.
+    pub fn is_strained(&self, x: &[f64], i: usize) -> bool {
+        i < self.declared.len() && x[i].abs() > FARTHEST - STEP
     }
 
     /// Whether coordinate `i` changes how the column is shaken.
@@ -335,28 +330,23 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
     }
 }
 
-/// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared.
-fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
-    let column = Column::new(&array.profile, &Analysis::default())?;
-    let ratio = column.small_strain_damping_ratio(column.frequency_hz());
-    let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
-    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)? })
-}
-
-/// Rayleigh damping, proportional to mass and to stiffness, in place of the damping that laws remember and that does not depend on
-/// frequency, as other programs have it for the same ratio: each in place of half of the ln of it. One deviation of both is the declared
-/// ratio at the fundamental frequency of the column and at five times that. None where no law has such damping.
+/// Rayleigh damping in place of the damping that laws remember and that does not depend on frequency, as other programs have it for the
+/// same ratio: how much of it, at most all, and where it meets that ratio, at first at the fundamental frequency of the column and at five
+/// times that. None where no law has such damping.
 fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
     let alone = Profile { rayleigh: Rayleigh::default(), ..profile.clone() };
     let column = Column::new(&alone, &Analysis::default())?;
     let fundamental_hz = column.frequency_hz();
     let ratio = column.small_strain_damping_ratio(fundamental_hz);
     let asked = Rayleigh::of_ratio(ratio, [TAU * fundamental_hz, 5.0 * TAU * fundamental_hz]);
-    let of = |(name, deviation)| {
-        let plain = Tolerance::new("frequency_dependent_damping", name, &[], deviation)?;
-        Ok(Tolerance { beside: Some(("ln_ratio", 0.5 * LEFT_LN)), ..plain })
+    let of = |name, deviation| Tolerance::new("frequency_dependent_damping", name, &[], deviation);
+    let share = Tolerance {
+        beside: vec![("beta_s", asked.beta_s), ("ln_ratio", LEFT_LN)],
+        bounds: [0.0, 1.0],
+        ..of("alpha_1_s", asked.alpha_1_s)?
     };
-    [("alpha_1_s", asked.alpha_1_s), ("beta_s", asked.beta_s)].into_iter().map(of).collect()
+    let has_memory = effects::build(&share.table(1.0))?.refusal(profile).is_none();
+    if has_memory { Ok(vec![share, of("ln_shift", SHIFT_LN)?]) } else { Ok(Vec::new()) }
 }
 
 /// Depth modes of ln Vs: between every two sensors polynomials of the range's place in order, of as low a degree as the array
@@ -425,18 +415,19 @@ mod tests {
         let ratio = |profile: &Profile, f: f64| {
             Column::new(profile, &Analysis::default()).unwrap().small_strain_damping_ratio(f)
         };
-        let mut edited = profile.clone();
-        for tolerance in rayleigh(&profile).unwrap() {
-            effects::build(&tolerance.table(1.0)).unwrap().edit(&mut edited, &Situation::default());
-        }
+        let tolerances = rayleigh(&profile).unwrap();
         // What is left of the memory is on top of it.
-        for (f, share) in [(2.5, 1.0), (12.5, 1.0), (5.6, 0.75)] {
+        let moved = (2.5 * SHIFT_LN.exp(), 12.5 * SHIFT_LN.exp());
+        for (count, f, share) in [(1, 2.5, 1.0), (1, 12.5, 1.0), (1, 5.6, 0.75), (2, moved.0, 1.0), (2, moved.1, 1.0)] {
+            let mut edited = profile.clone();
+            for tolerance in &tolerances[..count] {
+                effects::build(&tolerance.table(1.0)).unwrap().edit(&mut edited, &Situation::default());
+            }
             let found = ratio(&edited, f) / ratio(&profile, f);
             assert!((found - share - LEFT_LN.exp()).abs() < 0.03, "{f} Hz: {found}");
         }
         let hysteretic = Profile::plain(vec![Layer::plain("sanisand", 20.0, 1900.0, 200.0)]);
-        let acts = |t: Tolerance| effects::build(&t.table(1.0)).unwrap().refusal(&hysteretic).is_none();
-        assert!(!rayleigh(&hysteretic).unwrap().into_iter().any(acts));
+        assert!(rayleigh(&hysteretic).unwrap().is_empty());
     }
 
     #[test]
@@ -451,11 +442,11 @@ mod tests {
             layer
         };
         let z = vec![0.0; declared.len()];
-        let shares = declared.same_as(&layer(40.0), &z);
+        let shares = declared.same_as(&layer(40.0));
         let mut beside = z.clone();
         shares.iter().for_each(|(i, share)| beside[*i] = *share);
         assert!(!shares.is_empty());
         assert!(declared.ln_factors(&beside).iter().all(|ln| (ln - 1.0).abs() < 1e-9));
-        assert!(declared.same_as(&layer(20.0), &z).is_empty());
+        assert!(declared.same_as(&layer(20.0)).is_empty());
     }
 }

@@ -29,8 +29,6 @@ const TRUSTED: [f64; 2] = [0.3, 0.02];
 const RADIUS: [f64; 3] = [1.0, 4.0, 0.002];
 /// Highest frequency of the first of a series of fits, in fundamental frequencies of the column.
 const FIRST_MODES: f64 = 1.5;
-/// Prior standard deviations beyond which a declared value is at the end of its tolerance.
-pub const STRAINED: f64 = 2.5;
 /// Length of a step, prior standard deviations, below which what a replay does is as much the chance of its time steps as the step's.
 const JITTER: f64 = 0.005;
 
@@ -274,8 +272,7 @@ impl<'a> Fitter<'a> {
                 }
                 _ if !is_fresh => {
                     axes = self.principal(&model, &at, &slopes);
-                    let taken =
-                        axes.as_ref().and_then(|axes| self.slopes_along(&model, &at, axes, Some(&slopes)));
+                    let taken = axes.as_ref().and_then(|axes| self.slopes_along(&model, &at, axes, Some(&slopes)));
                     let taken = taken.unwrap_or_else(|| self.slopes(&model, &at, &[]));
                     let evidence = |slopes: &[Arc<Rows>]| occam(&model, &at.x, &self.normal(slopes, &at.rows));
                     renewals += 1;
@@ -294,9 +291,9 @@ impl<'a> Fitter<'a> {
 }
 
 impl Fit<'_> {
-    /// Whether declared values are farther off than their tolerances allow: they stand in for an effect.
+    /// Whether declared values are as far off as their tolerances allow: they stand in for an effect.
     pub fn is_strained(&self) -> bool {
-        self.x[..self.model.declared.len()].iter().any(|z| z.abs() > STRAINED)
+        (0..self.x.len()).any(|i| self.model.is_strained(&self.x, i))
     }
 
     /// Posterior covariance of the coordinates by the curvature of the cost.
@@ -410,11 +407,17 @@ fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f
     (x.iter().zip(dx).map(|(x, d)| x + d).collect(), linear - 0.5 * square)
 }
 
-/// ln of the share of the prior that the posterior leaves, half of it where a strength has one sign:
+/// ln of the share of the prior that the posterior leaves:
 ///
 /// ```text
-/// −½ ln det(I + Λ^{−1/2} A Λ^{−1/2}) + Σ ln 2 Φ(distance of a one-sided strength from zero in deviations)      (1)
+/// −½ ln det(I + Λ^{−1/2} A Λ^{−1/2}) + Σ ln(share of the posterior within its range / that of the prior)       (1)
 /// ```
+///
+/// What the records push against an end of its range is not at the top of its posterior: with the slope p of the ln of the density there
+/// and the variance c of the coordinate, that top is k = p √c deviations outside, and the share is exp(k²/2) Φ(−k), the density at the end
+/// being that of the fit.
+///
+/// Check: `evidence_at_an_end_of_a_range_is_that_of_quadrature`.
 fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
     let prior = model.prior();
     let n = prior.len();
@@ -422,13 +425,36 @@ fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
     let Some(ln) = ln_determinant(&scaled) else { return f64::NEG_INFINITY };
     let covariance = inverse(&scaled);
     let bounds = model.bounds();
-    let one_sided = |i: usize| {
-        let distance = [bounds[i][0], bounds[i][1]].map(|b| (b - prior[i][0]).abs() < 1e-12);
-        let deviation = covariance.as_ref().map_or(1.0, |c| c[(i, i)].sqrt()) * prior[i][1];
-        let toward = if distance[0] { 1.0 } else { -1.0 };
-        (distance[0] || distance[1]).then(|| (2.0 * normal_probability(toward * (x[i] - prior[i][0]) / deviation)).ln())
+    let within = |i: usize| {
+        let ([mean, sd], ends) = (prior[i], bounds[i]);
+        let deviation = covariance.as_ref().map_or(1.0, |c| c[(i, i)].sqrt()) * sd;
+        let share = |of: f64, deviation: f64| {
+            let [low, high] = ends.map(|end| normal_probability((end - of) / deviation));
+            high - low
+        };
+        let slope = g[(i, n)] - (x[i] - mean) / (sd * sd);
+        let is_pushed = model.is_at_end(x, i) && (slope > 0.0) == (ends[1] - x[i] < x[i] - ends[0]);
+        // The far end is this many deviations away.
+        let (k, width) = (slope.abs() * deviation, (ends[1] - ends[0]) / deviation);
+        let posterior = if is_pushed {
+            scaled_tail(k) - (-width * (k + 0.5 * width)).exp() * scaled_tail(k + width)
+        } else {
+            share(x[i], deviation)
+        };
+        (posterior / share(mean, sd)).max(f64::MIN_POSITIVE).ln()
     };
-    -0.5 * ln + (0..n).filter_map(one_sided).sum::<f64>()
+    -0.5 * ln + (0..n).map(within).sum::<f64>()
+}
+
+/// exp(k²/2) Φ(−k) for k ≥ 0.
+///
+/// Source: Abramowitz and Stegun (1964), 26.2.14, for large k.
+fn scaled_tail(k: f64) -> f64 {
+    if k < 3.0 {
+        return (0.5 * k * k).exp() * normal_probability(-k);
+    }
+    let fraction = (1..=20).rev().fold(k, |below, m| k + f64::from(m) / below);
+    1.0 / (fraction * (2.0 * std::f64::consts::PI).sqrt())
 }
 
 /// Probability that a standard normal number is below `z`.
@@ -571,7 +597,7 @@ mod tests {
         let problem = problem(&Truth { soil: [200.0, 1.5 * DAMPING], ..Truth::default() });
         fitted(&problem, &["small_strain_damping"], |fit, fitter| {
             let start = fit.model.start(0);
-            assert_eq!(fit.model.same(&fit.x).len(), 1);
+            assert_eq!(fit.model.same().len(), 1);
             let at = fitter.point(&fit.model, fit.x.clone()).unwrap();
             let own = fitter.slope(&fit.model, &at, start).unwrap();
             let missed = square(&combined(&own, &fit.slopes[start], 1.0, -1.0)).sqrt() / square(&own).sqrt();
@@ -614,6 +640,40 @@ mod tests {
                 }
             }
         });
+    }
+
+    #[test]
+    fn evidence_at_an_end_of_a_range_is_that_of_quadrature() {
+        let problem =
+            problem(&Truth { table: "kind = 'frequency_dependent_damping'\nbeta_s = 0.0", ..Truth::default() });
+        let declared = Declared::new(&problem).unwrap();
+        let all = effects::instances(&problem.array);
+        let effect = all.iter().find(|i| i.free.len() == 1 && i.free[0].parameter.name == "beta_s").unwrap().clone();
+        let model = Model { declared: &declared, effects: vec![effect] };
+        let (n, at) = (model.len(), model.start(0));
+        let (prior, [low, high]) = (model.prior()[at], model.bounds()[at]);
+        // One strength alone is told of: the density is exp(−½ a (x − u)²), its top below, at and above what is allowed.
+        let precision = 9.0 / prior[1].powi(2);
+        for top in [-4.0, -1.5, -0.3, 0.0, 0.7, 2.0].map(|d| low + d * prior[1]) {
+            let mut x: Vec<f64> = model.prior().iter().map(|[mean, _]| *mean).collect();
+            let unbounded = precision * top / (precision + prior[1].powi(-2));
+            x[at] = unbounded.clamp(low, high);
+            let mut g = Mat::zeros(n + 1, n + 1);
+            g[(at, at)] = precision;
+            g[(at, n)] = -precision * (x[at] - top);
+            let cost = 0.5 * precision * (x[at] - top).powi(2) + Fitter::prior(&model, &x);
+            let found = occam(&model, &x, &g) - cost;
+            let count = 200_000;
+            let step = (high - low).min(12.0 * prior[1]) / f64::from(count);
+            let (mut of_prior, mut of_posterior) = (0.0, 0.0);
+            for x in (0..count).map(|k| low + (f64::from(k) + 0.5) * step) {
+                let density = (-0.5 * ((x - prior[0]) / prior[1]).powi(2)).exp();
+                of_prior += density;
+                of_posterior += density * (-0.5 * precision * (x - top).powi(2)).exp();
+            }
+            let expected = (of_posterior / of_prior).ln();
+            assert!((found - expected).abs() < 0.02, "{top}: {found} {expected}");
+        }
     }
 
     #[test]

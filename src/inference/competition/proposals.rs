@@ -74,21 +74,22 @@ impl<'a> Competition<'a> {
         all.into_iter().nth(best).unwrap_or_default()
     }
 
-    /// Candidates at a strength of this many typical sizes; on the other side of nothing where there is no such side.
-    fn nodes(instances: &[Instance], size: f64) -> Vec<Node> {
+    /// Candidates at a strength of this many typical sizes, on one side of nothing or on each.
+    fn nodes(instances: &[Instance], size: f64, on_each_side: bool) -> Vec<Node> {
         let mut nodes: Vec<Node> = Vec::new();
         for instance in instances {
             let Some(zero) = instance.zero() else {
                 nodes.push(Node { instance: instance.clone(), at: Vec::new(), distance: 1.0, is_one_sided: true });
                 continue;
             };
-            let there = [1.0, -1.0].map(|sign| away(instance, &zero, size, sign));
-            let is_one_sided = there.iter().any(Option::is_none);
-            let Some(at) = there.into_iter().flatten().next() else { continue };
-            let square = |i: usize| ((at[i] - zero[i]) / prior_of(&instance.free[i])[1]).powi(2);
-            let strengths = (0..zero.len()).filter(|i| instance.free[*i].zero.is_some());
-            let distance = strengths.map(square).sum::<f64>().sqrt();
-            nodes.push(Node { instance: instance.clone(), at, distance, is_one_sided });
+            let sides: Vec<Vec<f64>> = [1.0, -1.0].iter().filter_map(|s| away(instance, &zero, size, *s)).collect();
+            let is_one_sided = on_each_side || sides.len() == 1;
+            for at in sides.into_iter().take(if on_each_side { 2 } else { 1 }) {
+                let square = |i: usize| ((at[i] - zero[i]) / prior_of(&instance.free[i])[1]).powi(2);
+                let strengths = (0..zero.len()).filter(|i| instance.free[*i].zero.is_some());
+                let distance = strengths.map(square).sum::<f64>().sqrt();
+                nodes.push(Node { instance: instance.clone(), at, distance, is_one_sided });
+            }
         }
         nodes
     }
@@ -99,13 +100,18 @@ impl<'a> Competition<'a> {
             self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && !Forward::is_interference(i);
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
-        let mut proposals: Vec<Proposal> =
-            Self::nodes(&discrete, NODES[0]).into_iter().filter_map(|node| self.discrete(by, base, node)).collect();
+        let mut proposals: Vec<Proposal> = Self::nodes(&discrete, NODES[0], false)
+            .into_iter()
+            .filter_map(|node| self.discrete(by, base, node))
+            .collect();
         let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| Self::direction(by, base, n)).collect();
-        let mut all: Vec<Direction> = along(Self::nodes(&smooth, NODES[0]));
-        // What is promising is looked at again where it may be: a strong effect is not linear.
-        let further = self.further(by, base, &all, is_far);
-        all.extend::<Vec<Direction>>(along(further));
+        // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
+        // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
+        let mut all: Vec<Direction> = along(Self::nodes(&smooth, NODES[usize::from(is_far)], is_far));
+        if !is_far {
+            let further = self.further(by, base, &all);
+            all.extend::<Vec<Direction>>(along(further));
+        }
         let (singles, pairs) = self.linear(by, base, &all);
         proposals.extend(singles);
         if base.model.effects.len() + 2 <= self.max_effects {
@@ -140,9 +146,7 @@ impl<'a> Competition<'a> {
     }
 
     /// Further nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point.
-    fn further(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction], is_far: bool) -> Vec<Node> {
-        // Where something strong is missing, what is linear beside a model that lacks it says little of places.
-        let [places, most] = if is_far { [usize::MAX; 2] } else { [PLACES, SHORTLIST] };
+    fn further(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction]) -> Vec<Node> {
         let mut forms: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();
         let mut found = 0;
@@ -150,17 +154,14 @@ impl<'a> Competition<'a> {
             let Part { instance, start: toward, .. } = &single.parts[0];
             let count = forms.entry(form(instance)).or_default();
             *count += 1;
-            if *count > places || found == most {
+            if *count > PLACES || found == SHORTLIST {
                 continue;
             }
             found += 1;
             let Some(known) = directions.iter().find(|d| d.node.instance == *instance) else { continue };
             let zero = instance.zero().unwrap_or_default();
             let is_opposite = zero.iter().zip(toward).zip(&known.node.at).any(|((z, t), at)| (t - z) * (at - z) < 0.0);
-            let mut strengths = if is_opposite { vec![-NODES[0], -NODES[1]] } else { vec![NODES[1]] };
-            if is_far && !known.node.is_one_sided {
-                strengths = vec![-NODES[0], -NODES[1], NODES[1]];
-            }
+            let strengths = if is_opposite { vec![-NODES[0], -NODES[1]] } else { vec![NODES[1]] };
             for strength in strengths {
                 let ratio = strength / NODES[0];
                 let at = zero.iter().zip(&known.node.at).map(|(z, at)| z + (at - z) * ratio);
