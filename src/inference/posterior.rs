@@ -296,6 +296,13 @@ impl Fit<'_> {
         (0..self.x.len()).any(|i| self.model.is_strained(&self.x, i))
     }
 
+    /// Coordinates that the right-hand side of `g`, that of other equations where the fit is, pushes against an end of their range.
+    pub fn pushed(&self, g: &Mat<f64>) -> Vec<usize> {
+        let prior = self.model.prior();
+        let slope = |i: usize| g[(i, g.nrows() - 1)] - (self.x[i] - prior[i][0]) / prior[i][1].powi(2);
+        (0..self.x.len()).filter(|i| is_pushed(&self.model, &self.x, *i, slope(*i))).collect()
+    }
+
     /// Posterior covariance of the coordinates by the curvature of the cost.
     pub fn covariance(&self) -> Option<Mat<f64>> {
         inverse(&information(&self.model, &self.g))
@@ -433,10 +440,9 @@ fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
             high - low
         };
         let slope = g[(i, n)] - (x[i] - mean) / (sd * sd);
-        let is_pushed = model.is_at_end(x, i) && (slope > 0.0) == (ends[1] - x[i] < x[i] - ends[0]);
         // The far end is this many deviations away.
         let (k, width) = (slope.abs() * deviation, (ends[1] - ends[0]) / deviation);
-        let posterior = if is_pushed {
+        let posterior = if is_pushed(model, x, i, slope) {
             scaled_tail(k) - (-width * (k + 0.5 * width)).exp() * scaled_tail(k + width)
         } else {
             share(x[i], deviation)
@@ -444,6 +450,12 @@ fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
         (posterior / share(mean, sd)).max(f64::MIN_POSITIVE).ln()
     };
     -0.5 * ln + (0..n).map(within).sum::<f64>()
+}
+
+/// Whether a `slope` of the ln of the posterior density at `x` pushes coordinate `i` against an end of its range.
+fn is_pushed(model: &Model<'_>, x: &[f64], i: usize, slope: f64) -> bool {
+    let [low, high] = model.bounds()[i];
+    model.is_at_end(x, i) && (slope > 0.0) == (high - x[i] < x[i] - low)
 }
 
 /// exp(k²/2) Φ(−k) for k ≥ 0.

@@ -178,14 +178,21 @@ impl<'a> Competition<'a> {
         let n = base.x.len();
         let slopes: Vec<Arc<Rows>> =
             base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
-        let g = by.normal(&slopes, &base.rows);
+        let mut g = by.normal(&slopes, &base.rows);
         let prior = base.model.prior();
         let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
+        let side = g.nrows() - 1;
+        // What the records push against an end of its range does not give way to a candidate.
+        for i in base.pushed(&g) {
+            (0..=side).for_each(|j| (g[(i, j)], g[(j, i)]) = (0.0, 0.0));
+            g[(i, side)] = (base.x[i] - prior[i][0]) * precision[i];
+            g[(side, i)] = g[(i, side)];
+        }
         let mut own = g.clone();
         for (i, [mean, _]) in prior.iter().enumerate() {
             let pull = (base.x[i] - mean) * precision[i];
-            own[(i, g.nrows() - 1)] -= pull;
-            own[(g.nrows() - 1, i)] -= pull;
+            own[(i, side)] -= pull;
+            own[(side, i)] -= pull;
         }
         let beside: Vec<usize> = (0..n).collect();
         let Some(left) = algebra::without(&own, &beside, &precision) else {
