@@ -199,6 +199,10 @@ impl Declared {
         else {
             return Vec::new();
         };
+        let is_cut = |depth_m: f64| self.cuts_m.iter().any(|cut_m| (cut_m - depth_m).abs() < 1e-6);
+        if !(is_cut(top_m) && is_cut(bottom_m)) {
+            return Vec::new();
+        }
         // Modes that together move the layer and nothing else, if there are any.
         let is_inside = |pair: &[f64]| pair[0] >= top_m - 1e-6 && pair[1] <= bottom_m + 1e-6;
         let inside: Vec<f64> = self.cuts_m.windows(2).map(|p| f64::from(u8::from(is_inside(p)))).collect();
@@ -448,5 +452,9 @@ mod tests {
         assert!(!shares.is_empty());
         assert!(declared.ln_factors(&beside).iter().all(|ln| (ln - 1.0).abs() < 1e-9));
         assert!(declared.same_as(&layer(20.0)).is_empty());
+        // One that ends within a range moves part of it.
+        let ranges =
+            Declared { cuts_m: vec![0.0, 30.0, 40.0], modes: vec![vec![0.05, 0.0], vec![0.0, 0.05]], ..declared };
+        assert!(ranges.same_as(&layer(35.0)).is_empty() && !ranges.same_as(&layer(30.0)).is_empty());
     }
 }
