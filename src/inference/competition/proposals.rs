@@ -16,6 +16,8 @@ const SHORTLIST: usize = 12;
 const PLACES: usize = 3;
 /// Strengths at which candidates are tried, in typical sizes: all of them, and those worth another look.
 pub(super) const NODES: [f64; 2] = [0.6, 1.8];
+/// The same for the slope at nothing: what is well told by the records may lack little, and is not linear up to a typical size.
+const SLIGHT: f64 = 0.05;
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
 
@@ -109,6 +111,7 @@ impl<'a> Competition<'a> {
         // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
         let mut all: Vec<Direction> = along(Self::nodes(&smooth, NODES[usize::from(is_far)], is_far));
         if !is_far {
+            all.extend::<Vec<Direction>>(along(Self::nodes(&smooth, SLIGHT, false)));
             let further = self.further(by, base, &all);
             all.extend::<Vec<Direction>>(along(further));
         }
