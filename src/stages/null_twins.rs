@@ -22,7 +22,7 @@ impl Stage for NullTwins {
     }
 
     fn version(&self) -> u32 {
-        16
+        17
     }
 
     fn reads(&self) -> &'static [&'static str] {
