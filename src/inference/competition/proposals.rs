@@ -178,43 +178,12 @@ impl<'a> Competition<'a> {
 
     /// Each candidate at its best node by the linear problem around `base`, best first, and pairs of the best of these.
     fn linear(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction]) -> (Vec<Proposal>, Vec<Proposal>) {
-        let n = base.x.len();
-        let slopes: Vec<Arc<Rows>> =
-            base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
-        let mut g = by.normal(&slopes, &base.rows);
-        let prior = base.model.prior();
-        let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
-        let side = g.nrows() - 1;
-        // What the records push against an end of its range does not give way to a candidate.
-        for i in base.pushed(&g) {
-            (0..=side).for_each(|j| (g[(i, j)], g[(j, i)]) = (0.0, 0.0));
-            g[(i, side)] = (base.x[i] - prior[i][0]) * precision[i];
-            g[(side, i)] = g[(i, side)];
-        }
-        let mut own = g.clone();
-        for (i, [mean, _]) in prior.iter().enumerate() {
-            let pull = (base.x[i] - mean) * precision[i];
-            own[(i, side)] -= pull;
-            own[(side, i)] -= pull;
-        }
-        let beside: Vec<usize> = (0..n).collect();
-        let Some(left) = algebra::without(&own, &beside, &precision) else {
-            return (Vec::new(), Vec::new());
-        };
-        let last = left.nrows() - 1;
-        // What base itself would gain by moving is no merit of a candidate.
-        let level = -(base.cost - 0.5 * (own[(n + last, n + last)] - left[(last, last)]));
-        let held = |node: &Node, share: f64| share.clamp(if node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST);
-        let (shares, evidence) = (|i: usize, j: usize| left[(i, j)], |i: usize| directions[i].node.distance.powi(2));
-        let single = |i: usize| {
-            let total = shares(i, i) + evidence(i);
-            let share = held(&directions[i].node, left[(i, last)] / total);
-            let gain = left[(i, last)] * share - 0.5 * total * share * share - 0.5 * (total / evidence(i)).ln();
-            (share, level + gain + self.prior_of(&directions[i].node.instance))
-        };
+        let Some(problem) = Linear::new(by, base, directions) else { return (Vec::new(), Vec::new()) };
+        let place = |i: usize| self.prior_of(&directions[i].node.instance);
         let mut best: Vec<(usize, f64, f64)> = Vec::new();
         for (i, direction) in directions.iter().enumerate() {
-            let (share, log_posterior) = single(i);
+            let (share, gain) = problem.single(i);
+            let log_posterior = problem.level + gain + place(i);
             match best.iter_mut().find(|b| directions[b.0].node.instance == direction.node.instance) {
                 Some(known) if known.2 >= log_posterior => {}
                 Some(known) => *known = (i, share, log_posterior),
@@ -222,51 +191,123 @@ impl<'a> Competition<'a> {
             }
         }
         best.sort_by(|a, b| b.2.total_cmp(&a.2));
-        let proposal = |set: &[(usize, f64)], log_posterior: f64| {
-            let side: Vec<f64> = (0..n)
-                .map(|i| own[(i, n + last)] - set.iter().map(|(d, share)| own[(i, n + d)] * share).sum::<f64>())
-                .collect();
-            let whole = Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { precision[i] } else { 0.0 });
-            let moved = algebra::solved(&whole, &side).unwrap_or_else(|| vec![0.0; n]);
-            let part = |(d, share): &(usize, f64)| {
-                let Direction { node, change } = &directions[*d];
-                let zero = node.instance.zero().unwrap_or_default();
-                let at = zero.iter().zip(&node.at).map(|(a, b)| a + share * (b - a));
-                let start = at.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                // Along the one coordinate that differs at the node.
-                let along =
-                    |(a, b): (&f64, &f64)| (a != b).then(|| Arc::new(combined(change, change, 1.0 / (b - a), 0.0)));
-                Part { instance: node.instance.clone(), start, slopes: zero.iter().zip(&node.at).map(along).collect() }
-            };
-            Proposal {
-                parts: set.iter().map(part).collect(),
-                beside: base.x.iter().zip(moved).map(|(x, d)| x + d).collect(),
-                log_posterior,
-            }
-        };
-        let singles = best.iter().map(|(i, share, value)| proposal(&[(*i, *share)], *value)).collect();
+        let singles = best.iter().map(|(i, share, value)| problem.proposal(&[(*i, *share)], *value)).collect();
         let mut pairs: Vec<([(usize, f64); 2], f64)> = Vec::new();
         for (k, one) in best.iter().enumerate().take(SHORTLIST) {
             for other in best.iter().take(SHORTLIST).skip(k + 1) {
                 let [p, q] = [one.0, other.0];
-                let (a, d, c) = (shares(p, p) + evidence(p), shares(q, q) + evidence(q), shares(p, q));
-                let (e, f, determinant) = (left[(p, last)], left[(q, last)], a * d - c * c);
-                if determinant <= 1e-9 * a * d {
-                    continue;
-                }
-                let [one, two] = [&directions[p].node, &directions[q].node];
-                let both = [held(one, (d * e - c * f) / determinant), held(two, (a * f - c * e) / determinant)];
-                let gain = e * both[0] + f * both[1]
-                    - 0.5 * (a * both[0] * both[0] + d * both[1] * both[1])
-                    - c * both[0] * both[1]
-                    - 0.5 * (determinant / (evidence(p) * evidence(q))).ln();
-                let places: f64 = [p, q].iter().map(|i| self.prior_of(&directions[*i].node.instance)).sum();
-                pairs.push(([(p, both[0]), (q, both[1])], level + gain + places));
+                let Some((shares, gain)) = problem.pair(p, q) else { continue };
+                pairs.push(([(p, shares[0]), (q, shares[1])], problem.level + gain + place(p) + place(q)));
             }
         }
         pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let pairs = pairs.into_iter().take(SHORTLIST).map(|(set, value)| proposal(&set, value)).collect();
+        let pairs = pairs.into_iter().take(SHORTLIST).map(|(set, value)| problem.proposal(&set, value)).collect();
         (singles, pairs)
+    }
+}
+
+/// The linear problem of some directions around a point, in which the coordinates of its model give way.
+struct Linear<'c, 'a> {
+    base: &'c Fit<'a>,
+    directions: &'c [Direction],
+    /// Normal equations of coordinates and directions, the pull of the prior in the right-hand side.
+    own: Mat<f64>,
+    /// Those of the directions where the coordinates have given way.
+    left: Mat<f64>,
+    precision: Vec<f64>,
+    /// ln of the density of the point where its coordinates have given way to nothing: that is no merit of a candidate.
+    level: f64,
+}
+
+impl<'c, 'a> Linear<'c, 'a> {
+    fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction]) -> Option<Self> {
+        let n = base.x.len();
+        let slopes: Vec<Arc<Rows>> =
+            base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
+        let mut own = by.normal(&slopes, &base.rows);
+        let prior = base.model.prior();
+        let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
+        let side = own.nrows() - 1;
+        let pushed = base.pushed(&own);
+        for (i, [mean, _]) in prior.iter().enumerate() {
+            let pull = (base.x[i] - mean) * precision[i];
+            own[(i, side)] -= pull;
+            own[(side, i)] -= pull;
+        }
+        // What the records push against an end of its range does not give way.
+        for i in pushed {
+            (0..=side).for_each(|j| (own[(i, j)], own[(j, i)]) = (0.0, 0.0));
+        }
+        let beside: Vec<usize> = (0..n).collect();
+        let left = algebra::without(&own, &beside, &precision)?;
+        let last = left.nrows() - 1;
+        let level = -(base.cost - 0.5 * (own[(side, side)] - left[(last, last)]));
+        Some(Self { base, directions, own, left, precision, level })
+    }
+
+    /// Precision of the prior of direction `i`, whose unit is its node.
+    fn evidence(&self, i: usize) -> f64 {
+        self.directions[i].node.distance.powi(2)
+    }
+
+    /// How far along direction `i` the records lead.
+    fn toward(&self, i: usize) -> f64 {
+        self.left[(i, self.left.nrows() - 1)]
+    }
+
+    fn held(&self, i: usize, share: f64) -> f64 {
+        share.clamp(if self.directions[i].node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST)
+    }
+
+    /// Best share of direction `i`, and what that gains in ln of the evidence.
+    fn single(&self, i: usize) -> (f64, f64) {
+        let total = self.left[(i, i)] + self.evidence(i);
+        let share = self.held(i, self.toward(i) / total);
+        let gain = self.toward(i) * share - 0.5 * total * share * share - 0.5 * (total / self.evidence(i)).ln();
+        (share, gain)
+    }
+
+    /// The same of two directions; `None` where they are one.
+    fn pair(&self, p: usize, q: usize) -> Option<([f64; 2], f64)> {
+        let (a, d) = (self.left[(p, p)] + self.evidence(p), self.left[(q, q)] + self.evidence(q));
+        let (c, e, f) = (self.left[(p, q)], self.toward(p), self.toward(q));
+        let determinant = a * d - c * c;
+        if determinant <= 1e-9 * a * d {
+            return None;
+        }
+        let [x, y] = [self.held(p, (d * e - c * f) / determinant), self.held(q, (a * f - c * e) / determinant)];
+        let gain = e * x + f * y
+            - 0.5 * (a * x * x + d * y * y)
+            - c * x * y
+            - 0.5 * (determinant / (self.evidence(p) * self.evidence(q))).ln();
+        Some(([x, y], gain))
+    }
+
+    /// Shares of directions as a proposal, the coordinates where they give way to these.
+    fn proposal(&self, set: &[(usize, f64)], log_posterior: f64) -> Proposal {
+        let (n, side) = (self.base.x.len(), self.own.nrows() - 1);
+        let against = |i: usize| set.iter().map(|(d, share)| self.own[(i, n + d)] * share).sum::<f64>();
+        let right: Vec<f64> = (0..n).map(|i| self.own[(i, side)] - against(i)).collect();
+        let whole = Mat::from_fn(n, n, |i, j| self.own[(i, j)] + if i == j { self.precision[i] } else { 0.0 });
+        let moved = algebra::solved(&whole, &right).unwrap_or_else(|| vec![0.0; n]);
+        Proposal {
+            parts: set.iter().map(|(d, share)| self.directions[*d].part(*share)).collect(),
+            beside: self.base.x.iter().zip(moved).map(|(x, d)| x + d).collect(),
+            log_posterior,
+        }
+    }
+}
+
+impl Direction {
+    /// The candidate at this share of its node.
+    fn part(&self, share: f64) -> Part {
+        let Self { node, change } = self;
+        let zero = node.instance.zero().unwrap_or_default();
+        let at = zero.iter().zip(&node.at).map(|(a, b)| a + share * (b - a));
+        let start = at.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
+        // Along the one coordinate that differs at the node.
+        let along = |(a, b): (&f64, &f64)| (a != b).then(|| Arc::new(combined(change, change, 1.0 / (b - a), 0.0)));
+        Part { instance: node.instance.clone(), start, slopes: zero.iter().zip(&node.at).map(along).collect() }
     }
 }
 
