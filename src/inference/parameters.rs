@@ -3,7 +3,7 @@
 //! | parameter                        | coordinate                | prior                                            |
 //! |----------------------------------|---------------------------|--------------------------------------------------|
 //! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`COMMON_VELOCITY_LN`] for all together |
-//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` |
+//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` and [`DAMPING_RATIO`] |
 //! | reference strain, curvature, hysteresis | standard deviations | N(0, 1), [`NONLINEARITY_LN`], [`CURVATURE_LN`], [`HYSTERESIS_LN`] |
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
 //! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and all, [`rayleigh`] |
@@ -31,8 +31,16 @@ pub const CURVATURE_LN: f64 = 0.05;
 pub const HYSTERESIS_LN: f64 = 0.1;
 /// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
 pub const COMMON_VELOCITY_LN: f64 = 0.01;
+/// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
+/// time steps of the program that has it, make of a ratio.
+///
+/// Source: Régnier et al. (2016), doi 10.1785/0120150284, for programs given the same column; Darendeli (2001) has 0.008 for a ratio of
+/// 0.01 in the laboratory alone.
+pub const DAMPING_RATIO: f64 = 0.003;
 /// Standard deviations of the prior of a strength, as multiples of its typical size.
 pub const WIDE: f64 = 1.5;
+/// Least share of a declared damping.
+const LEAST_DAMPING: f64 = 0.05;
 /// ln of what is left of the damping that laws remember where all of it became Rayleigh damping; none of it cannot be had.
 const LEFT_LN: f64 = -2.0;
 /// Prior standard deviation of the ln of the frequencies at which Rayleigh damping in its place meets the declared ratio: programs ask for
@@ -53,6 +61,8 @@ pub struct Tolerance {
     pub instance: Instance,
     /// Prior standard deviation of its coordinate.
     pub deviation: f64,
+    /// That of its value over what is declared, beside the deviation of the coordinate, where this one is a ln; else nothing.
+    absolute: f64,
     /// What else moves in its table, and how far by deviation.
     beside: Vec<(&'static str, f64)>,
     /// Smallest and largest coordinate.
@@ -68,6 +78,7 @@ impl Tolerance {
         Ok(Self {
             instance: Instance { kind, target, free },
             deviation,
+            absolute: 0.0,
             beside: Vec::new(),
             bounds: [-FARTHEST, FARTHEST],
         })
@@ -83,9 +94,17 @@ impl Tolerance {
     }
 
     /// Coordinate of the effect's parameter `z` prior standard deviations from what is declared.
+    ///
+    /// ```text
+    /// dm/dz = √((a m)² + b²),   m(0) = 1:   m = b/a · sinh(a z + asinh(a/b))  (1)
+    /// ```
+    ///
+    /// for a multiplier m with the deviation a of its ln and an absolute one of b.
     pub fn coordinate(&self, z: f64) -> f64 {
         let p = self.instance.free[0].parameter;
-        p.coordinate(p.zero.unwrap_or(0.0)) + self.deviation * z
+        let (a, b) = (self.deviation, self.absolute);
+        let moved = if b > 0.0 { (b / a * (a * z + (a / b).asinh()).sinh()).max(LEAST_DAMPING).ln() } else { a * z };
+        p.coordinate(p.zero.unwrap_or(0.0)) + moved
     }
 }
 
@@ -116,7 +135,7 @@ impl Declared {
         // What damping depends on before how much there is: a multiplier is of all of it.
         let mut others = rayleigh(&array.profile)?;
         others.extend([
-            Tolerance::new("small_strain_damping", "multiplier", &[], t.damping_ln)?,
+            damping(array, t.damping_ln)?,
             curve("nonlinearity", "ln_gamma_ref", NONLINEARITY_LN)?,
             curve("curve_shape", "ln_curvature", CURVATURE_LN)?,
             curve("curve_shape", "ln_hysteresis", HYSTERESIS_LN)?,
@@ -186,12 +205,14 @@ impl Declared {
         tables
     }
 
-    /// Coordinates that do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
+    /// Coordinates that at `z` do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
     /// declared cannot stand in for it.
-    fn same_as(&self, effect: &Instance) -> Vec<(usize, f64)> {
+    fn same_as(&self, effect: &Instance, z: &[f64]) -> Vec<(usize, f64)> {
         let own = |o: &Tolerance| o.beside.is_empty() && o.instance.is_one(effect);
         if let Some(i) = self.others.iter().position(own) {
-            return vec![(self.n_mode() + i, 1.0 / self.others[i].deviation)];
+            let at = self.n_mode() + i;
+            let ends = [0.5, -0.5].map(|h| self.others[i].coordinate(z[at] + h * STEP));
+            return vec![(at, STEP / (ends[0] - ends[1]))];
         }
         let depth = |key: &str| effect.target.get(key).and_then(toml::Value::as_float);
         let (Some(top_m), Some(bottom_m), 1.., "layer_velocity") =
@@ -277,10 +298,10 @@ impl<'a> Model<'a> {
         self.effects[index].at(&x[start..start + self.effects[index].free.len()])
     }
 
-    /// Coordinates of effects for which declared values can stand in: coordinate, and [`Declared::same_as`].
-    pub fn same(&self) -> Vec<(usize, Vec<(usize, f64)>)> {
+    /// Coordinates of effects for which declared values can stand in at `x`: coordinate, and [`Declared::same_as`].
+    pub fn same(&self, x: &[f64]) -> Vec<(usize, Vec<(usize, f64)>)> {
         let single = self.effects.iter().enumerate().filter(|(_, e)| e.free.len() == 1);
-        let all = single.map(|(i, e)| (self.start(i), self.declared.same_as(e)));
+        let all = single.map(|(i, e)| (self.start(i), self.declared.same_as(e, x)));
         all.filter(|(_, parts)| !parts.is_empty()).collect()
     }
 
@@ -332,6 +353,14 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
         Some(zero) => [free.parameter.coordinate(zero), WIDE * free.size],
         None => [free.parameter.coordinate(free.start), free.size],
     }
+}
+
+/// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared.
+fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
+    let column = Column::new(&array.profile, &Analysis::default())?;
+    let ratio = column.small_strain_damping_ratio(column.frequency_hz());
+    let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
+    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)? })
 }
 
 /// Rayleigh damping in place of the damping that laws remember and that does not depend on frequency, as other programs have it for the
@@ -446,15 +475,15 @@ mod tests {
             layer
         };
         let z = vec![0.0; declared.len()];
-        let shares = declared.same_as(&layer(40.0));
+        let shares = declared.same_as(&layer(40.0), &z);
         let mut beside = z.clone();
         shares.iter().for_each(|(i, share)| beside[*i] = *share);
         assert!(!shares.is_empty());
         assert!(declared.ln_factors(&beside).iter().all(|ln| (ln - 1.0).abs() < 1e-9));
-        assert!(declared.same_as(&layer(20.0)).is_empty());
+        assert!(declared.same_as(&layer(20.0), &z).is_empty());
         // One that ends within a range moves part of it.
         let ranges =
             Declared { cuts_m: vec![0.0, 30.0, 40.0], modes: vec![vec![0.05, 0.0], vec![0.0, 0.05]], ..declared };
-        assert!(ranges.same_as(&layer(35.0)).is_empty() && !ranges.same_as(&layer(30.0)).is_empty());
+        assert!(ranges.same_as(&layer(35.0), &z).is_empty() && !ranges.same_as(&layer(30.0), &z).is_empty());
     }
 }

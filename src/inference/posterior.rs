@@ -609,7 +609,7 @@ mod tests {
         let problem = problem(&Truth { soil: [200.0, 1.5 * DAMPING], ..Truth::default() });
         fitted(&problem, &["small_strain_damping"], |fit, fitter| {
             let start = fit.model.start(0);
-            assert_eq!(fit.model.same().len(), 1);
+            assert_eq!(fit.model.same(&fit.x).len(), 1);
             let at = fitter.point(&fit.model, fit.x.clone()).unwrap();
             let own = fitter.slope(&fit.model, &at, start).unwrap();
             let missed = square(&combined(&own, &fit.slopes[start], 1.0, -1.0)).sqrt() / square(&own).sqrt();

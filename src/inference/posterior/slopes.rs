@@ -37,7 +37,7 @@ impl<'a> Fitter<'a> {
 
     /// Slopes by replays, those apart that are `known` and would need one.
     pub(super) fn slopes(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
-        let same = model.same();
+        let same = model.same(&at.x);
         let nothing = || Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
         let of = |i: usize| {
             if same.iter().any(|(effect, _)| *effect == i) {
@@ -63,7 +63,7 @@ impl<'a> Fitter<'a> {
     /// as what changes them much.
     pub(super) fn principal(&self, model: &Model<'a>, at: &Point, slopes: &[Arc<Rows>]) -> Option<Axes> {
         let (prior, bounds, n) = (model.prior(), model.bounds(), model.len());
-        let same = model.same();
+        let same = model.same(&at.x);
         let replayed = turned(model, &same, &at.x);
         let a = information(model, &self.normal(slopes, &at.rows));
         let held: Vec<bool> = (0..n).map(|i| is_held(model, &same, &at.x, i)).collect();
@@ -104,7 +104,7 @@ impl<'a> Fitter<'a> {
         Axes { along, is_told }: &Axes,
         known: Option<&[Arc<Rows>]>,
     ) -> Option<Vec<Arc<Rows>>> {
-        let same = model.same();
+        let same = model.same(&at.x);
         let replayed = turned(model, &same, &at.x);
         let p = replayed.len();
         if along.ncols() != p {
@@ -162,7 +162,7 @@ impl<'a> Fitter<'a> {
     /// Source: (1) Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6.
     pub(super) fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2]) {
         let prior = model.prior();
-        let same = model.same();
+        let same = model.same(&from.x);
         let mut moved: Vec<f64> = to.x.iter().zip(&from.x).map(|(to, from)| to - from).collect();
         for (effect, parts) in &same {
             let own = std::mem::take(&mut moved[*effect]);
