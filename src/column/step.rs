@@ -171,7 +171,8 @@ impl<'a, const D: usize> Stepper<'a, D> {
             let base = n - 1;
             m.upper[n - 2].iter_mut().for_each(|row| row[D - 1] = 0.0);
             m.lower[base][D - 1] = [0.0; D];
-            m.diagonal[base] = from_fn(|r| from_fn(|c| if r == c { [m.diagonal[base][0][0], 1.0][r] } else { 0.0 }));
+            m.diagonal[base][0][D - 1] = 0.0;
+            m.diagonal[base][D - 1] = from_fn(|c| f64::from(u8::from(c == D - 1)));
         }
     }
 

@@ -20,7 +20,7 @@ use proposals::{NODES, Proposal, away, distinct};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Single effects and pairs that are fitted around one model, and how many of all to the end.
+/// Single effects and pairs that are fitted around one model in few events, and how many of these in all.
 const HEATS: usize = 4;
 const FINALS: usize = 3;
 /// Steps of the first fits.

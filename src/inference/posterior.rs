@@ -298,9 +298,8 @@ impl Fit<'_> {
 
     /// Coordinates that the right-hand side of `g`, that of other equations where the fit is, pushes against an end of their range.
     pub fn pushed(&self, g: &Mat<f64>) -> Vec<usize> {
-        let prior = self.model.prior();
-        let slope = |i: usize| g[(i, g.nrows() - 1)] - (self.x[i] - prior[i][0]) / prior[i][1].powi(2);
-        (0..self.x.len()).filter(|i| is_pushed(&self.model, &self.x, *i, slope(*i))).collect()
+        let slopes = gradient(&self.model, &self.x, g);
+        (0..self.x.len()).filter(|i| is_pushed(&self.model, &self.x, *i, slopes[*i])).collect()
     }
 
     /// Posterior covariance of the coordinates by the curvature of the cost.
@@ -315,15 +314,13 @@ impl Fit<'_> {
 
     /// Coordinates when each event in turn is left out, by one step from here; `groups` are the events of the records.
     pub fn without_each_event(&self, groups: &[usize]) -> Vec<Vec<f64>> {
-        let (n, prior) = (self.x.len(), self.model.prior());
         let of = |event: usize| {
             let kept = |rows: &Rows| -> Rows {
                 rows.iter().zip(groups).filter(|(_, g)| **g != event).map(|(r, _)| r.clone()).collect()
             };
             let slopes: Vec<Arc<Rows>> = self.slopes.iter().map(|s| Arc::new(kept(s))).collect();
             let g = normal(&slopes, &kept(&self.rows));
-            let side: Vec<f64> = (0..n).map(|i| g[(i, n)] - (self.x[i] - prior[i][0]) / prior[i][1].powi(2)).collect();
-            let step = solved(&information(&self.model, &g), &side)?;
+            let step = solved(&information(&self.model, &g), &gradient(&self.model, &self.x, &g))?;
             Some(self.x.iter().zip(step).map(|(x, d)| x + d).collect())
         };
         let count = groups.iter().max().map_or(0, |g| g + 1);
@@ -363,12 +360,18 @@ fn information(model: &Model<'_>, g: &Mat<f64>) -> Mat<f64> {
     Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { 1.0 / prior[i][1].powi(2) } else { 0.0 })
 }
 
+/// How ln of the posterior density changes at `x` with each coordinate: right-hand side of `g` and pull of the prior.
+pub fn gradient(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> Vec<f64> {
+    let side = g.nrows() - 1;
+    model.prior().iter().zip(x).enumerate().map(|(i, ([mean, sd], x))| g[(i, side)] - (x - mean) / sd.powi(2)).collect()
+}
+
 /// The step from `x` within `radius` prior standard deviations and the bounds, and what it is expected to gain. A coordinate that would
 /// pass its bound stands there, and the others give way to that.
 fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f64) {
     let (prior, bounds, n) = (model.prior(), model.bounds(), x.len());
     let a = information(model, g);
-    let gradient: Vec<f64> = (0..n).map(|i| g[(i, n)] - (x[i] - prior[i][0]) / prior[i][1].powi(2)).collect();
+    let gradient = gradient(model, x, g);
     let mut dx = vec![0.0; n];
     let mut free: Vec<usize> = (0..n).collect();
     while !free.is_empty() {
@@ -431,7 +434,7 @@ fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
     let scaled = Mat::from_fn(n, n, |i, j| g[(i, j)] * prior[i][1] * prior[j][1] + f64::from(u8::from(i == j)));
     let Some(ln) = ln_determinant(&scaled) else { return f64::NEG_INFINITY };
     let covariance = inverse(&scaled);
-    let bounds = model.bounds();
+    let (bounds, slopes) = (model.bounds(), gradient(model, x, g));
     let within = |i: usize| {
         let ([mean, sd], ends) = (prior[i], bounds[i]);
         let deviation = covariance.as_ref().map_or(1.0, |c| c[(i, i)].sqrt()) * sd;
@@ -439,7 +442,7 @@ fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
             let [low, high] = ends.map(|end| normal_probability((end - of) / deviation));
             high - low
         };
-        let slope = g[(i, n)] - (x[i] - mean) / (sd * sd);
+        let slope = slopes[i];
         // The far end is this many deviations away.
         let (k, width) = (slope.abs() * deviation, (ends[1] - ends[0]) / deviation);
         let posterior = if is_pushed(model, x, i, slope) {

@@ -5,7 +5,7 @@ use crate::effects::Instance;
 use crate::inference::algebra;
 use crate::inference::forward::{Forward, Prediction};
 use crate::inference::parameters::{Model, prior_of};
-use crate::inference::posterior::{Fit, Fitter, combined};
+use crate::inference::posterior::{Fit, Fitter, combined, gradient};
 use crate::inference::weights::Rows;
 use faer::Mat;
 use std::collections::BTreeMap;
@@ -109,6 +109,7 @@ impl<'a> Competition<'a> {
         let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| Self::direction(by, base, n)).collect();
         // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
         // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
+        // Further nodes are multiples of these, which come first.
         let mut all: Vec<Direction> = along(Self::nodes(&smooth, NODES[usize::from(is_far)], is_far));
         if !is_far {
             all.extend::<Vec<Direction>>(along(Self::nodes(&smooth, SLIGHT, false)));
@@ -225,14 +226,11 @@ impl<'c, 'a> Linear<'c, 'a> {
         let slopes: Vec<Arc<Rows>> =
             base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
         let mut own = by.normal(&slopes, &base.rows);
-        let prior = base.model.prior();
-        let precision: Vec<f64> = prior.iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
+        let precision: Vec<f64> = base.model.prior().iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
         let side = own.nrows() - 1;
         let pushed = base.pushed(&own);
-        for (i, [mean, _]) in prior.iter().enumerate() {
-            let pull = (base.x[i] - mean) * precision[i];
-            own[(i, side)] -= pull;
-            own[(side, i)] -= pull;
+        for (i, slope) in gradient(&base.model, &base.x, &own).into_iter().enumerate() {
+            (own[(i, side)], own[(side, i)]) = (slope, slope);
         }
         // What the records push against an end of its range does not give way.
         for i in pushed {
