@@ -28,6 +28,7 @@
 //! exact solution. Source: Lysmer & Kuhlemeyer (1969), doi 10.1061/JMCEA3.0001144.
 
 mod analysis;
+mod batch;
 mod failure;
 mod features;
 mod linear;
@@ -43,7 +44,7 @@ pub use features::{Container, Features, RateZone, Slip, SofteningZone, Structure
 pub use linear::Slice;
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
 pub(crate) use profile::{is_uniform, uniform};
-pub use run::{Frame, RunSummary};
+pub use run::{BaseMotion, Frame, RunSummary};
 
 use crate::error::Result;
 use mesh::Mesh;

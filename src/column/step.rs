@@ -2,6 +2,7 @@
 
 use super::Column;
 use super::oscillator::Oscillator;
+use super::run::Frames;
 use crate::numerics::block_tridiagonal::BlockTridiagonal;
 use crate::soil::{Increment, Refusal, Response};
 use std::array::from_fn;
@@ -12,7 +13,7 @@ pub(super) struct Stepper<'a, const D: usize> {
     column: &'a Column,
     /// Displacement is not needed: strains accumulate in the laws. Velocity and acceleration relative to the base.
     velocity: Vec<[f64; D]>,
-    pub acceleration: Vec<[f64; D]>,
+    acceleration: Vec<[f64; D]>,
     trial_velocity: Vec<[f64; D]>,
     trial_acceleration: Vec<[f64; D]>,
     delta: Vec<[f64; D]>,
@@ -23,12 +24,12 @@ pub(super) struct Stepper<'a, const D: usize> {
     state: Vec<Vec<f64>>,
     trial_state: Vec<Vec<f64>>,
     increments: Vec<Increment>,
-    pub responses: Vec<Response>,
+    responses: Vec<Response>,
     trial_responses: Vec<Response>,
     /// Vertical strain since the geostatic state.
-    pub eps_yy: Vec<f64>,
+    eps_yy: Vec<f64>,
     /// Shear strain since the geostatic state.
-    pub gamma: Vec<f64>,
+    gamma: Vec<f64>,
     matrix: BlockTridiagonal<D>,
     structure: Option<Oscillator>,
     /// Largest dynamic stress so far: the scale of the residual.
@@ -38,7 +39,7 @@ pub(super) struct Stepper<'a, const D: usize> {
 }
 
 /// Shortest increment, over the largest, that an acceleration front is worth.
-const FRONT_SHARE: f64 = 0.126;
+pub(super) const FRONT_SHARE: f64 = 0.126;
 
 /// Why an increment must be halved.
 pub(super) enum Cut {
@@ -283,6 +284,19 @@ impl<'a, const D: usize> Stepper<'a, D> {
     fn jump(&self) -> f64 {
         let changes = self.acceleration.iter().zip(&self.trial_acceleration).map(|(a, b)| (b[0] - a[0]).abs());
         changes.fold(0.0, f64::max)
+    }
+
+    /// Writes what there is to see to `frames`.
+    pub fn show(&self, frames: &mut Frames) {
+        for (i, (element, response)) in self.column.mesh.elements.iter().zip(&self.responses).enumerate() {
+            let below = self.acceleration.get(i + 1).map_or(0.0, |a| a[0]);
+            frames.elements_m_s2[i] = 0.5 * (self.acceleration[i][0] + below);
+            frames.gamma[i] = self.gamma[i];
+            frames.tau_pa[i] = response.tau_pa;
+            frames.vertical_pa[i] = -response.sigma_yy_pa;
+            frames.pore_pa[i] = -element.pore_pa * self.eps_yy[i];
+        }
+        frames.surface_m_s2 = self.acceleration[0][0];
     }
 
     fn accept(&mut self, base: f64) {

@@ -15,5 +15,5 @@ pub use index::{Index, IndexCase, IndexSensor, Outcome};
 pub use normalisation::{Accumulator, Normalisation};
 pub use observation::{Observation, observation_matrix};
 pub use reader::{Trajectory, read_trajectory};
-pub use sampler::{Sampler, sensor_histories};
+pub use sampler::{Sampler, all_sensor_histories, sensor_histories};
 pub use writer::{Header, Sample, TrajectoryWriter};

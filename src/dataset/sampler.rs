@@ -1,7 +1,7 @@
 //! What a running column says at the depths of sensors.
 
 use super::observation::{Observation, observation_matrix};
-use crate::column::{Column, Frame};
+use crate::column::{BaseMotion, Column, Failure, Frame};
 use crate::error::{Error, Result};
 
 /// Reads sensors from frames: the surface node, element centres below it, linear in depth between.
@@ -32,23 +32,30 @@ impl Sampler {
 ///
 /// # Errors
 /// When the column cannot finish the motion.
-pub fn sensor_histories(
+pub fn sensor_histories(column: &Column, motion: BaseMotion<'_>, sensor_depth_m: &[f64]) -> Result<Vec<Vec<f64>>> {
+    all_sensor_histories(column, &[motion], sensor_depth_m).pop().unwrap_or_else(|| Ok(Vec::new()))
+}
+
+/// [`sensor_histories`] under each of the motions.
+pub fn all_sensor_histories(
     column: &Column,
-    base_dt_s: f64,
-    base_m_s2: &[f64],
+    motions: &[BaseMotion<'_>],
     sensor_depth_m: &[f64],
-) -> Result<Vec<Vec<f64>>> {
+) -> Vec<Result<Vec<Vec<f64>>>> {
     let mut sampler = Sampler::new(column, sensor_depth_m);
     let mut readings = vec![0.0; sensor_depth_m.len()];
-    let mut histories = vec![Vec::new(); sensor_depth_m.len() + 1];
-    let run = column.run(base_dt_s, base_m_s2, &mut |frame| {
+    let mut histories = vec![vec![Vec::new(); sensor_depth_m.len() + 1]; motions.len()];
+    let runs = column.run_all(motions, &mut |motion, frame| {
         sampler.read(frame, &mut readings);
+        let histories = &mut histories[motion];
         histories[0].push(frame.base_m_s2);
         for (history, reading) in histories[1..].iter_mut().zip(&readings) {
             history.push(*reading);
         }
         Ok(())
     });
-    run.map_err(|failure| Error::new(failure.to_string()))?;
-    Ok(histories)
+    let finished = |(run, histories): (std::result::Result<_, Failure>, _)| {
+        run.map(|_| histories).map_err(|failure| Error::new(failure.to_string()))
+    };
+    runs.into_iter().zip(histories).map(finished).collect()
 }

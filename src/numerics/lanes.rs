@@ -18,6 +18,10 @@ pub trait Lane:
     fn splat(x: f64) -> Self;
     /// Lane `i` is `from(i)`.
     fn from_fn(from: impl FnMut(usize) -> f64) -> Self;
+    /// The first `N` numbers of `x`.
+    fn load(x: &[f64]) -> Self;
+    /// Writes to the first `N` numbers of `x`.
+    fn store(self, x: &mut [f64]);
     /// The number in lane `i`.
     fn lane(self, i: usize) -> f64;
     /// Square root.
@@ -28,6 +32,8 @@ pub trait Lane:
     fn max(self, other: Self) -> Self;
     /// The smaller one (the second operand where either is not a number).
     fn min(self, other: Self) -> Self;
+    /// Those of the lanes, at most as many as there are.
+    fn mask(lanes: &[bool]) -> Self::Mask;
     /// Lane by lane `self < other`; false for not-a-number.
     fn lt(self, other: Self) -> Self::Mask;
     /// `yes` where the mask holds, `no` elsewhere.
@@ -73,6 +79,15 @@ pub trait Lane:
         sum * (k + (shift + Self::splat(1023.0))).bits_up_52()
     }
 
+    /// `self` ≥ 0 to the power `exponent` > 0; see [`raise`].
+    #[inline(always)]
+    fn powf(self, exponent: Self) -> Self {
+        let smallest = Self::splat(f64::MIN_POSITIVE);
+        // Zero and what is smaller than any normal number become nothing.
+        let power = Lane::exp(exponent * Lane::ln(Lane::max(self, smallest)));
+        Self::select(smallest.lt(self), power, self)
+    }
+
     /// Natural logarithm of a positive normal number, relative error below 1e-14.
     #[inline(always)]
     fn ln(self) -> Self {
@@ -103,6 +118,14 @@ impl Lane for f64 {
         from(0)
     }
     #[inline(always)]
+    fn load(x: &[f64]) -> Self {
+        x[0]
+    }
+    #[inline(always)]
+    fn store(self, x: &mut [f64]) {
+        x[0] = self;
+    }
+    #[inline(always)]
     fn lane(self, _: usize) -> f64 {
         self
     }
@@ -121,6 +144,10 @@ impl Lane for f64 {
     #[inline(always)]
     fn min(self, other: Self) -> Self {
         if self < other { self } else { other }
+    }
+    #[inline(always)]
+    fn mask(lanes: &[bool]) -> bool {
+        lanes[0]
     }
     #[inline(always)]
     fn lt(self, other: Self) -> bool {
@@ -157,40 +184,92 @@ impl Lane for f64 {
     }
 }
 
+/// Numbers in the widest register that there is.
+pub const WIDEST: usize = 8;
+
+/// How many numbers a register of this machine holds; only widths that it has exist.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Width(usize);
+
+impl Width {
+    /// All widths of this machine, narrowest first.
+    pub fn all() -> Vec<Self> {
+        #[cfg(target_arch = "x86_64")]
+        let wider = {
+            let has_eight = is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq");
+            [(is_x86_feature_detected!("avx2"), 4), (has_eight, 8)]
+        };
+        #[cfg(not(target_arch = "x86_64"))]
+        let wider: [(bool, usize); 0] = [];
+        std::iter::once(Self(1))
+            .chain(wider.into_iter().filter(|(is_there, _)| *is_there).map(|(_, n)| Self(n)))
+            .collect()
+    }
+
+    /// The widest of this machine.
+    pub fn widest() -> Self {
+        static OWN: std::sync::OnceLock<Width> = std::sync::OnceLock::new();
+        *OWN.get_or_init(|| Self::all().pop().unwrap_or(Self(1)))
+    }
+
+    /// How many numbers.
+    pub fn lanes(self) -> usize {
+        self.0
+    }
+}
+
+/// The body of a function that calls `kernel::<L>` with its arguments, compiled for the registers of a [`Width`].
+macro_rules! on_lanes {
+    ($width:expr, $kernel:ident($($name:ident: $type:ty),* $(,)?) $(-> $result:ty)?) => {{
+        #[cfg(target_arch = "x86_64")]
+        {
+            use $crate::numerics::lanes::{Avx2, Avx512};
+
+            #[target_feature(enable = "avx2")]
+            fn by_four($($name: $type),*) $(-> $result)? {
+                $kernel::<Avx2>($($name),*)
+            }
+            #[target_feature(enable = "avx512f,avx512dq")]
+            fn by_eight($($name: $type),*) $(-> $result)? {
+                $kernel::<Avx512>($($name),*)
+            }
+            match $width.lanes() {
+                // SAFETY: a width exists only where the machine has its registers.
+                8 => return unsafe { by_eight($($name),*) },
+                // SAFETY: as above.
+                4 => return unsafe { by_four($($name),*) },
+                _ => {}
+            }
+        }
+        $kernel::<f64>($($name),*)
+    }};
+}
+pub(crate) use on_lanes;
+
+/// Copies `from` to `to`, `[…][lane]`, in `lanes` alone.
+pub fn take_over(width: Width, lanes: &[bool], from: &[f64], to: &mut [f64]) {
+    on_lanes!(width, taken_over(lanes: &[bool], from: &[f64], to: &mut [f64]))
+}
+
+#[inline(always)]
+fn taken_over<L: Lane>(lanes: &[bool], from: &[f64], to: &mut [f64]) {
+    let is_taken = L::mask(lanes);
+    for (to, from) in to.chunks_exact_mut(L::N).zip(from.chunks_exact(L::N)) {
+        L::select(is_taken, L::load(from), L::load(to)).store(to);
+    }
+}
+
 /// Raises every x ≥ 0 to the power `exponent` > 0, in place, as many at a time as this machine's registers hold; the same bytes on every
 /// width. Relative error below 1e-13 for |exponent ln x| ≤ 10; what is no number or infinite stays none or grows beyond all bounds.
 pub fn raise(x: &mut [f64], exponent: f64) {
-    #[cfg(target_arch = "x86_64")]
-    {
-        #[target_feature(enable = "avx2")]
-        fn by_four(x: &mut [f64], exponent: f64) {
-            raised::<Avx2>(x, exponent);
-        }
-        #[target_feature(enable = "avx512f,avx512dq")]
-        fn by_eight(x: &mut [f64], exponent: f64) {
-            raised::<Avx512>(x, exponent);
-        }
-        if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
-            // SAFETY: both features were detected on this line.
-            return unsafe { by_eight(x, exponent) };
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature was detected on this line.
-            return unsafe { by_four(x, exponent) };
-        }
-    }
-    raised::<f64>(x, exponent);
+    on_lanes!(Width::widest(), raised(x: &mut [f64], exponent: f64))
 }
 
 #[inline(always)]
 fn raised<L: Lane>(x: &mut [f64], exponent: f64) {
-    let smallest = L::splat(f64::MIN_POSITIVE);
     for bundle in x.chunks_mut(L::N) {
         let last = bundle.len() - 1;
-        let base = L::from_fn(|i| bundle[i.min(last)]);
-        // Zero and what is smaller than any normal number become nothing.
-        let power = (L::splat(exponent) * base.max(smallest).ln()).exp();
-        let power = L::select(smallest.lt(base), power, base);
+        let power = L::from_fn(|i| bundle[i.min(last)]).powf(L::splat(exponent));
         bundle.iter_mut().enumerate().for_each(|(i, x)| *x = power.lane(i));
     }
 }

@@ -1,8 +1,10 @@
 //! Modified hyperbolic backbone with extended Masing rules, for sites that have little more than a velocity profile.
 
-use super::{Damping, Increment, Law, Point, Ranges, Refusal, Response, update_alone};
+mod batch;
+
+use super::{Batch, Damping, Increment, Law, Point, Ranges, Refusal, Response, update_alone};
 use crate::error::Result;
-use crate::numerics::lanes::raise;
+use crate::numerics::lanes::{Width, raise};
 use crate::registry::{Entry, params};
 use crate::units::GPA;
 use schemars::JsonSchema;
@@ -142,6 +144,20 @@ const FACTOR: usize = 9;
 const STACK: usize = 10;
 const ATMOSPHERE_PA: f64 = 101_325.0;
 
+/// The branch of the loops that a point is on.
+#[derive(Clone, Copy)]
+struct Branch {
+    /// Largest strain so far, and what (3) and (4) make of it.
+    gamma_max: f64,
+    secant: f64,
+    factor: f64,
+    /// Reversals that are open.
+    count: usize,
+    /// [γ, τ] at the last of them, and γ at the one before; nothing where there is none.
+    last: [f64; 2],
+    before: f64,
+}
+
 impl Hyperbolic {
     fn confinement(point: &Point) -> f64 {
         point.mean_pa().max(1e3) / ATMOSPHERE_PA
@@ -160,41 +176,66 @@ impl Hyperbolic {
         (g * ratio, self.hysteresis_multiplier * f)
     }
 
+    /// The branch on which the strain `gamma` lies that follows [γ, τ] `from` on `branch`, where the reversals so far are `reversals`.
+    fn follow(
+        &self,
+        branch: Branch,
+        from: [f64; 2],
+        gamma: f64,
+        [g, gamma_ref]: [f64; 2],
+        reversals: &[f64],
+    ) -> Branch {
+        let mut new = branch;
+        let at = |i: usize| [reversals[2 * i], reversals[2 * i + 1]];
+        // The present branch runs away from its last reversal; on the backbone, away from zero.
+        if (gamma - from[0]) * (from[0] - new.last[0]) < 0.0 {
+            if new.count == MAX_REVERSALS {
+                new.count -= 2;
+            }
+            if new.count == 0 {
+                new.gamma_max = from[0].abs();
+                (new.secant, new.factor) = self.reduction(g, gamma_ref, new.gamma_max);
+            }
+            new.count += 1;
+            new.last = from;
+            new.before = if new.count > 1 { at(new.count - 2)[0] } else { 0.0 };
+        }
+        // Loops that this increment closes are forgotten: the branch before the last reversal began at the one before.
+        while new.count >= 2 && (gamma - new.before) * (new.before - new.last[0]) > 0.0 {
+            new.count -= 2;
+            new.last = if new.count > 0 { at(new.count - 1) } else { [0.0; 2] };
+            new.before = if new.count > 1 { at(new.count - 2)[0] } else { 0.0 };
+        }
+        if new.count > 0 && gamma.abs() > new.gamma_max {
+            (new.count, new.last, new.before) = (0, [0.0; 2], 0.0);
+        }
+        new
+    }
+
     /// Where an increment leads: the present branch in the memory `s` of a point, and the strain at which (1) is taken there.
     fn turn(&self, increment: Increment, committed: &[f64], s: &mut [f64]) -> f64 {
-        let mut count = committed[COUNT] as usize;
+        let count = committed[COUNT] as usize;
+        let reversals = &committed[STACK..];
         s[..STACK + 2 * count].copy_from_slice(&committed[..STACK + 2 * count]);
         let gamma = s[GAMMA] + increment.gamma;
         s[SIGMA] += s[M] * increment.eps_yy;
-        // The present branch runs away from its last reversal; on the backbone, away from zero.
-        let origin = if count == 0 { 0.0 } else { s[STACK + 2 * (count - 1)] };
-        if increment.gamma * (s[GAMMA] - origin) < 0.0 {
-            if count == MAX_REVERSALS {
-                count -= 2;
-            }
-            if count == 0 {
-                s[GAMMA_MAX] = s[GAMMA].abs();
-                (s[SECANT], s[FACTOR]) = self.reduction(s[G], s[GAMMA_REF], s[GAMMA_MAX]);
-            }
-            s[STACK + 2 * count] = s[GAMMA];
-            s[STACK + 2 * count + 1] = s[TAU];
-            count += 1;
-        }
-        // Loops that this increment closes are forgotten: the branch before the last reversal began at the one before.
-        while count >= 2 {
-            let (last, before) = (s[STACK + 2 * (count - 1)], s[STACK + 2 * (count - 2)]);
-            if (gamma - before) * (before - last) > 0.0 {
-                count -= 2;
-            } else {
-                break;
-            }
-        }
-        if count > 0 && gamma.abs() > s[GAMMA_MAX] {
-            count = 0;
+        let old = Branch {
+            gamma_max: s[GAMMA_MAX],
+            secant: s[SECANT],
+            factor: s[FACTOR],
+            count,
+            last: if count > 0 { [reversals[2 * count - 2], reversals[2 * count - 1]] } else { [0.0; 2] },
+            before: if count > 1 { reversals[2 * count - 4] } else { 0.0 },
+        };
+        let new = self.follow(old, [s[GAMMA], s[TAU]], gamma, [s[G], s[GAMMA_REF]], reversals);
+        (s[GAMMA_MAX], s[SECANT], s[FACTOR]) = (new.gamma_max, new.secant, new.factor);
+        if new.count > 0 {
+            let last = STACK + 2 * (new.count - 1);
+            s[last..last + 2].copy_from_slice(&new.last);
         }
         s[GAMMA] = gamma;
-        s[COUNT] = count as f64;
-        if count == 0 { gamma } else { 0.5 * (gamma - s[STACK + 2 * (count - 1)]) }
+        s[COUNT] = new.count as f64;
+        if new.count == 0 { gamma } else { 0.5 * (gamma - new.last[0]) }
     }
 
     /// Response of a point where (1) is taken at the strain `at` and `y` is |γ/γ_r|^s there.
@@ -262,6 +303,10 @@ impl Law for Hyperbolic {
             }
         }
         Ok(())
+    }
+
+    fn batch<'l>(&'l self, start: &'l [f64], _: &[Response], width: Width) -> Option<Box<dyn Batch + 'l>> {
+        Some(Box::new(batch::Points::new(self, start, width)))
     }
 
     fn couples(&self) -> bool {

@@ -7,6 +7,7 @@
 //! [`Scaled`] and [`Slider`] are laws around a law: they add softening, rate dependence or an interface that slips to
 //! any of the registered ones. [`Viscoelastic`] gives a law damping at small strains.
 
+mod batch;
 mod cam_clay;
 mod elastic;
 mod hyperbolic;
@@ -20,6 +21,7 @@ mod slider;
 mod softening;
 mod viscoelastic;
 
+pub use batch::{Batch, Shear};
 pub use rate::Rate;
 pub use relaxation::{Damping, N_BODY, REFERENCE_HZ, Relaxation, bodies, relaxations};
 pub use scaled::{Scaled, Scaling};
@@ -28,7 +30,9 @@ pub use softening::Softening;
 pub use viscoelastic::Viscoelastic;
 
 use crate::error::{Error, Result};
+use crate::numerics::lanes::Width;
 use crate::registry::Entry;
+use batch::LaneByLane;
 use std::fmt;
 
 /// Every law a manifest can name: a file, its `mod` line and a line here.
@@ -176,6 +180,12 @@ pub trait Law: Send + Sync {
     /// of a step starts from.
     fn relax_all(&self, _dt_s: f64, _committed: &[f64], _responses: &mut [Response]) {}
 
+    /// Points that start with the memory `start` and these responses, under as many motions at once as `width` has lanes; `None` where
+    /// the law is followed lane by lane. See [`batch`].
+    fn batch<'l>(&'l self, _start: &'l [f64], _responses: &[Response], _width: Width) -> Option<Box<dyn Batch + 'l>> {
+        None
+    }
+
     /// Whether shear strain changes vertical stress or vertical strain shear stress. Where neither does, a column shaken sideways does not
     /// move vertically, and is solved without.
     fn couples(&self) -> bool {
@@ -186,6 +196,13 @@ pub trait Law: Send + Sync {
     fn viscosity_s(&self) -> f64 {
         0.0
     }
+}
+
+/// Points of `law` that start with the memory `start` and these responses, under as many motions at once as `width` has lanes.
+pub fn batch<'l>(law: &'l dyn Law, start: &'l [f64], responses: &[Response], width: Width) -> Box<dyn Batch + 'l> {
+    let lane_by_lane =
+        || Box::new(LaneByLane::new(law, start, responses.to_vec(), width.lanes())) as Box<dyn Batch + 'l>;
+    law.batch(start, responses, width).unwrap_or_else(lane_by_lane)
 }
 
 /// [`Law::update`] of a law that is written for many points: the increment of one of them.

@@ -1,8 +1,11 @@
 //! Small-strain damping of a law: its stress relaxes a little, at many rates.
 
+mod batch;
+
 use super::relaxation::{N_BODY, relaxations, times_s};
-use super::{Damping, Increment, Law, Point, Refusal, Relaxation, Response, update_alone};
+use super::{Batch, Damping, Increment, Law, Point, Refusal, Relaxation, Response, update_alone};
 use crate::error::{Error, Result};
+use crate::numerics::lanes::Width;
 
 /// A law whose stress passes a relaxation.
 ///
@@ -186,6 +189,12 @@ impl Law for Viscoelastic {
             let ratio = factors.instant(own) / own[INSTANT];
             response.tangent_pa = response.tangent_pa.map(|t| ratio * t);
         }
+    }
+
+    fn batch<'l>(&'l self, start: &'l [f64], responses: &[Response], width: Width) -> Option<Box<dyn Batch + 'l>> {
+        let (inner, own) = start.split_at(responses.len() * self.law.n_state());
+        let law = super::batch(self.law.as_ref(), inner, responses, width);
+        Some(Box::new(batch::Points::new(law, own, width)))
     }
 
     fn couples(&self) -> bool {

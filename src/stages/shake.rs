@@ -1,8 +1,8 @@
 //! The nonlinear column under true base motions. In a stage all motions that are asked for together have one cache entry, named by
 //! the columns that are shaken, how they are stepped, and the motions: replays of different stages and manifests share them.
 
-use crate::column::{Column, Profile};
-use crate::dataset::sensor_histories;
+use crate::column::{self, Column, Profile};
+use crate::dataset::all_sensor_histories;
 use crate::effects::{Effect, Situation};
 use crate::error::{Context, Error, Result};
 use crate::manifest::ColumnSections;
@@ -59,20 +59,49 @@ pub fn shake(
         }
     }
     let columns = profiles.iter().map(|p| Column::new(p, &sections.analysis)).collect::<Result<Vec<_>>>()?;
-    let run = |i: usize| -> Result<Vec<Vec<f64>>> {
-        let motion = &motions[i];
-        // Between the samples of a coarser record lies a band-limited motion, not a straight line.
-        let dt_s = motion.dt_s.min(sections.analysis.output_step_s);
-        let base_m_s2 = resample_band_limited(motion.acceleration_m_s2, motion.dt_s, dt_s);
-        let histories = sensor_histories(&columns[shaken[i]], dt_s, &base_m_s2, &depths_m)?;
-        Ok(histories.into_iter().skip(1).collect())
+    let bases: Vec<(f64, Vec<f64>)> = motions
+        .iter()
+        .map(|motion| {
+            // Between the samples of a coarser record lies a band-limited motion, not a straight line.
+            let dt_s = motion.dt_s.min(sections.analysis.output_step_s);
+            (dt_s, resample_band_limited(motion.acceleration_m_s2, motion.dt_s, dt_s))
+        })
+        .collect();
+    let hands = hands(&columns, &shaken, &bases);
+    let run = |hand: usize| -> Vec<(usize, Response)> {
+        let own = &hands[hand];
+        let base = |i: &usize| column::BaseMotion { dt_s: bases[*i].0, acceleration_m_s2: &bases[*i].1 };
+        let found =
+            all_sensor_histories(&columns[shaken[own[0]]], &own.iter().map(base).collect::<Vec<_>>(), &depths_m);
+        let outputs = |found: Result<Vec<Vec<f64>>>| match found {
+            Ok(histories) => Ok(histories.into_iter().skip(1).collect()),
+            Err(error) => Err(error.to_string()),
+        };
+        own.iter().copied().zip(found.into_iter().map(outputs)).collect()
     };
-    let run_all = || on_threads(motions.len(), |i| run(i).map_err(|e| e.to_string()));
+    let run_all = || {
+        let mut found: Vec<(usize, Response)> = on_threads(hands.len(), run).into_iter().flatten().collect();
+        found.sort_by_key(|(i, _)| *i);
+        found.into_iter().map(|(_, response)| response).collect::<Vec<_>>()
+    };
     let Some(task) = task else { return Ok(run_all()) };
     let item = item(&profiles, &shaken, (sections, &depths_m), motions)?;
     let outcome = task.items(REPLAY.0, REPLAY.1, &[item], |_, folder| write(folder, &run_all()))?;
     let folder = outcome.into_iter().map(|o| o.output).next().unwrap_or_else(|| Err("nothing was computed".into()));
     read(&folder.map_err(|reason| Error::new("the column cannot be shaken").cause(reason))?)
+}
+
+/// Motions that are run together: for every thread its part of those of a column that takes them side by side, else one by one.
+fn hands(columns: &[Column], shaken: &[usize], bases: &[(f64, Vec<f64>)]) -> Vec<Vec<usize>> {
+    let mut hands: Vec<Vec<usize>> = Vec::new();
+    for (number, column) in columns.iter().enumerate() {
+        let mut own: Vec<usize> = (0..bases.len()).filter(|i| shaken[*i] == number).collect();
+        own.sort_by_key(|i| std::cmp::Reverse(bases[*i].1.len()));
+        let count = if column.is_batched() { rayon::current_num_threads().min(own.len()) } else { own.len() };
+        let dealt = |hand: usize| own.iter().skip(hand).step_by(count.max(1)).copied().collect();
+        hands.extend((0..count).map(dealt));
+    }
+    hands
 }
 
 /// Everything that a run of all `motions` depends on, each motion shaking the column of the profile that `shaken` names.

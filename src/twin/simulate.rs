@@ -3,7 +3,7 @@
 use super::Truth;
 use super::draw::draw;
 use super::outside::{self, Outside};
-use crate::column::{Analysis, Column, Profile};
+use crate::column::{Analysis, BaseMotion, Column, Profile};
 use crate::dataset::sensor_histories;
 use crate::effects::{self, Channels, Direction, Effect, Recording, Situation};
 use crate::error::{Error, Result};
@@ -109,7 +109,8 @@ pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) 
         };
         let motion = motion::suite(&settings)?.remove(0);
         let column = recorder.column(&Situation::of(c, name, truth.event.iter().map(|e| e.name.as_str())))?;
-        let histories = sensor_histories(&column, motion.dt_s, &motion.acceleration_m_s2, &depths_m)
+        let base = BaseMotion { dt_s: motion.dt_s, acceleration_m_s2: &motion.acceleration_m_s2 };
+        let histories = sensor_histories(&column, base, &depths_m)
             .map_err(|e| e.at(format!("event `{name}`, component `{component}`")))?;
         for (sensor, history) in motions.iter_mut().zip(histories) {
             sensor.push(resample::resample_band_limited(&history, site.analysis.output_step_s, STEP_S));

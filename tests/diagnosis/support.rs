@@ -1,6 +1,6 @@
 //! A small array and twins of it.
 
-use flare_pipe::column::{Analysis, Column, Features, Layer, Profile, Rayleigh, Vertical};
+use flare_pipe::column::{Analysis, BaseMotion, Column, Features, Layer, Profile, Rayleigh, Vertical};
 use flare_pipe::dataset::sensor_histories;
 use flare_pipe::diagnosis::{DiagnoseSettings, Event, NoiseSpectrum, Problem, Replay};
 use flare_pipe::effects::{self, Array, Direction, Recording, Situation};
@@ -178,7 +178,8 @@ fn shaken(
         .map(|(name, z)| effects::depth_m(built, name, *z, declared.depth_m()))
         .collect();
     let column = Column::new(&profile, analysis)?;
-    let histories = sensor_histories(&column, STEP_S, input, &depths)?;
+    let base = BaseMotion { dt_s: STEP_S, acceleration_m_s2: input };
+    let histories = sensor_histories(&column, base, &depths)?;
     let coarse = |h: &Vec<f64>| {
         let mut x = resample::resample_band_limited(h, analysis.output_step_s, STEP_S);
         x.resize(input.len(), 0.0);

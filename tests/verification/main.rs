@@ -2,6 +2,7 @@
 
 mod anything;
 mod around_a_law;
+mod batch;
 mod boundaries;
 mod equilibrium;
 mod laws;

@@ -79,6 +79,16 @@ impl Lane for Avx2 {
         Self(unsafe { _mm256_loadu_pd(x.as_ptr()) })
     }
     #[inline(always)]
+    fn load(x: &[f64]) -> Self {
+        let x = &x[..4];
+        Self(unsafe { _mm256_loadu_pd(x.as_ptr()) })
+    }
+    #[inline(always)]
+    fn store(self, x: &mut [f64]) {
+        let x = &mut x[..4];
+        unsafe { _mm256_storeu_pd(x.as_mut_ptr(), self.0) };
+    }
+    #[inline(always)]
     fn lane(self, i: usize) -> f64 {
         let mut x = [0.0; 4];
         unsafe { _mm256_storeu_pd(x.as_mut_ptr(), self.0) };
@@ -99,6 +109,14 @@ impl Lane for Avx2 {
     #[inline(always)]
     fn min(self, o: Self) -> Self {
         Self(unsafe { _mm256_min_pd(self.0, o.0) })
+    }
+    #[inline(always)]
+    fn mask(lanes: &[bool]) -> __m256d {
+        let mut x = [0.0; 4];
+        for (x, is_in) in x.iter_mut().zip(lanes) {
+            *x = f64::from(u8::from(*is_in));
+        }
+        Self::splat(0.0).lt(Self::load(&x))
     }
     #[inline(always)]
     fn lt(self, o: Self) -> __m256d {
@@ -154,6 +172,16 @@ impl Lane for Avx512 {
         Self(unsafe { _mm512_loadu_pd(x.as_ptr()) })
     }
     #[inline(always)]
+    fn load(x: &[f64]) -> Self {
+        let x = &x[..8];
+        Self(unsafe { _mm512_loadu_pd(x.as_ptr()) })
+    }
+    #[inline(always)]
+    fn store(self, x: &mut [f64]) {
+        let x = &mut x[..8];
+        unsafe { _mm512_storeu_pd(x.as_mut_ptr(), self.0) };
+    }
+    #[inline(always)]
     fn lane(self, i: usize) -> f64 {
         let mut x = [0.0; 8];
         unsafe { _mm512_storeu_pd(x.as_mut_ptr(), self.0) };
@@ -174,6 +202,14 @@ impl Lane for Avx512 {
     #[inline(always)]
     fn min(self, o: Self) -> Self {
         Self(unsafe { _mm512_min_pd(self.0, o.0) })
+    }
+    #[inline(always)]
+    fn mask(lanes: &[bool]) -> __mmask8 {
+        let mut mask = 0;
+        for (i, is_in) in lanes.iter().enumerate() {
+            mask |= u8::from(*is_in) << i;
+        }
+        mask
     }
     #[inline(always)]
     fn lt(self, o: Self) -> __mmask8 {

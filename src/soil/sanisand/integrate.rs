@@ -2,7 +2,7 @@
 
 use super::rates::{Constants, Deviator, Rates, State, add, dot};
 use super::{N_STATE, Sanisand};
-use crate::numerics::lanes::Lane;
+use crate::numerics::lanes::{Lane, WIDEST, Width, on_lanes};
 use crate::soil::{Increment, Refusal, Response};
 
 /// One point at a time.
@@ -24,42 +24,16 @@ pub(super) fn widest(
     trial: &mut [f64],
     responses: &mut [Response],
 ) -> Result<(), (usize, Refusal)> {
-    #[cfg(target_arch = "x86_64")]
-    {
-        use crate::numerics::lanes::{Avx2, Avx512};
-
-        #[target_feature(enable = "avx2")]
-        fn by_four(
+    on_lanes!(
+        Width::widest(),
+        many(
             law: &Sanisand,
             increments: &[Increment],
             committed: &[f64],
             trial: &mut [f64],
             responses: &mut [Response],
-        ) -> Result<(), (usize, Refusal)> {
-            many::<Avx2>(law, increments, committed, trial, responses)
-        }
-
-        #[target_feature(enable = "avx512f,avx512dq")]
-        fn by_eight(
-            law: &Sanisand,
-            increments: &[Increment],
-            committed: &[f64],
-            trial: &mut [f64],
-            responses: &mut [Response],
-        ) -> Result<(), (usize, Refusal)> {
-            many::<Avx512>(law, increments, committed, trial, responses)
-        }
-
-        if is_x86_feature_detected!("avx512f") && is_x86_feature_detected!("avx512dq") {
-            // SAFETY: both features were detected on this line.
-            return unsafe { by_eight(law, increments, committed, trial, responses) };
-        }
-        if is_x86_feature_detected!("avx2") {
-            // SAFETY: the feature was detected on this line.
-            return unsafe { by_four(law, increments, committed, trial, responses) };
-        }
-    }
-    narrow(law, increments, committed, trial, responses)
+        ) -> Result<(), (usize, Refusal)>
+    )
 }
 
 #[inline(always)]
@@ -132,9 +106,6 @@ fn many<L: Lane>(
     }
     Ok(())
 }
-
-/// Most lanes of any width.
-const WIDEST: usize = 8;
 
 // Functions, not closures: only these are certain to be compiled for the registers of their caller.
 #[inline(always)]
