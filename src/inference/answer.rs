@@ -100,9 +100,13 @@ impl<'a> Answer<'_, 'a> {
         let nothing = mass.get(&Vec::new()).copied().unwrap_or(0.0);
         let best = self.competition.best();
         let is_missing = !best.model.effects.is_empty() && nothing < NOTHING;
-        // What may be there besides, and may not, is not claimed: the median probability model.
-        let known = known_kinds(&mass);
-        let is_sure = |fit: &Fit<'a>| !known.is_empty() && kinds(fit) == known;
+        let included = |kind: &&str| mass.iter().filter(|(set, _)| set.contains(kind)).map(|(_, p)| p).sum::<f64>();
+        // What may be there besides, and may not, is not claimed.
+        let is_sure = |fit: &Fit<'a>| {
+            let kinds = kinds(fit);
+            let own = mass.get(&kinds).copied().unwrap_or(0.0);
+            !kinds.is_empty() && own >= NOTHING && kinds.iter().all(|kind| included(kind) >= KNOWN)
+        };
         let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
         let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
@@ -337,17 +341,6 @@ fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
         .collect()
 }
 
-/// Kinds that are there with a probability of [`KNOWN`] by `mass`, that of each set of kinds; as often as is that probable.
-///
-/// Source: Barbieri & Berger (2004), doi 10.1214/009053604000000238, for models of what is probable by itself.
-fn known_kinds(mass: &BTreeMap<Vec<&'static str>, f64>) -> Vec<&'static str> {
-    let count = |set: &[&str], kind: &str| set.iter().filter(|k| **k == kind).count();
-    let least =
-        |kind: &str, n: usize| mass.iter().filter(|(set, _)| count(set, kind) >= n).map(|(_, p)| p).sum::<f64>();
-    let all: std::collections::BTreeSet<&'static str> = mass.keys().flatten().copied().collect();
-    all.into_iter().flat_map(|kind| (1..).take_while(move |n| least(kind, *n) >= KNOWN).map(move |_| kind)).collect()
-}
-
 /// Kinds of the named effects.
 fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
     let mut kinds: Vec<&'static str> = fit.model.effects.iter().filter(|e| e.is_named()).map(|e| e.kind).collect();
@@ -412,16 +405,6 @@ mod tests {
     fn diagnosed(truth: &Truth<'_>) -> Diagnosis {
         let problem = problem(truth);
         diagnose(&problem, &Uniform(&problem), &DiagnoseSettings::default(), &Quiet).unwrap()
-    }
-
-    #[test]
-    fn known_is_what_is_probable_whatever_is_beside_it() {
-        let mass = |sets: &[(&[&'static str], f64)]| sets.iter().map(|(set, p)| (set.to_vec(), *p)).collect();
-        let found = known_kinds(&mass(&[(&["a"], 0.05), (&["a", "b"], 0.5), (&["a", "c"], 0.45)]));
-        assert_eq!(found, ["a"]);
-        assert_eq!(known_kinds(&mass(&[(&["a"], 0.04), (&["a", "a"], 0.96)])), ["a", "a"]);
-        assert_eq!(known_kinds(&mass(&[(&["a", "a"], 0.5), (&["a", "b"], 0.5)])), ["a"]);
-        assert!(known_kinds(&mass(&[(&["a"], 0.6), (&["b"], 0.4)])).is_empty());
     }
 
     #[test]
