@@ -4,7 +4,7 @@ use super::features::Around;
 use super::{Profile, Rayleigh, Structure, Vertical};
 use crate::error::{Error, Result};
 use crate::registry;
-use crate::soil::{Damping, LAWS, Law, Point, Relaxation, relaxations};
+use crate::soil::{Damping, LAWS, Law, Point, Relaxation, Response, relaxations};
 use crate::units::G_M_S2;
 use std::f64::consts::TAU;
 use std::ops::Range;
@@ -52,6 +52,17 @@ pub(super) struct Mesh {
 }
 
 impl Mesh {
+    /// Stresses and tangents at the geostatic state.
+    pub fn responses(&self) -> Vec<Response> {
+        let at_rest = |e: &Element| Response { tau_pa: 0.0, sigma_yy_pa: -e.vertical_pa, tangent_pa: e.elastic_pa };
+        self.elements.iter().map(at_rest).collect()
+    }
+
+    /// Scale of unbalanced tractions before anything has moved, Pa.
+    pub fn least_scale_pa(&self) -> f64 {
+        1e-7 * self.elements.last().map_or(1.0, |e| e.vertical_pa.abs()).max(1.0)
+    }
+
     pub fn new(profile: &Profile) -> Result<Self> {
         let cuts = cuts(profile);
         let stretches = stretches(profile, &cuts)?;

@@ -1,8 +1,8 @@
 //! One time increment: HHT-α, a linear predictor from the last tangent, then Newton's iteration.
 
-use super::Column;
 use super::oscillator::Oscillator;
 use super::run::Frames;
+use super::{Analysis, Column};
 use crate::numerics::block_tridiagonal::BlockTridiagonal;
 use crate::soil::{Increment, Refusal, Response};
 use std::array::from_fn;
@@ -39,7 +39,7 @@ pub(super) struct Stepper<'a, const D: usize> {
 }
 
 /// Shortest increment, over the largest, that an acceleration front is worth.
-pub(super) const FRONT_SHARE: f64 = 0.126;
+const FRONT_SHARE: f64 = 0.126;
 
 /// Why an increment must be halved.
 pub(super) enum Cut {
@@ -62,12 +62,7 @@ impl<'a, const D: usize> Stepper<'a, D> {
         let (n, n_node) = (mesh.elements.len(), mesh.mass.len());
         let zero = vec![[0.0; D]; n_node];
         let state: Vec<Vec<f64>> = mesh.stretches.iter().map(|s| s.start.clone()).collect();
-        let responses: Vec<Response> = mesh
-            .elements
-            .iter()
-            .map(|e| Response { tau_pa: 0.0, sigma_yy_pa: -e.vertical_pa, tangent_pa: e.elastic_pa })
-            .collect();
-        let deepest_pa = mesh.elements.last().map_or(1.0, |e| e.vertical_pa.abs());
+        let responses = mesh.responses();
         Self {
             column,
             velocity: zero.clone(),
@@ -88,7 +83,7 @@ impl<'a, const D: usize> Stepper<'a, D> {
             matrix: BlockTridiagonal::new(n_node),
             structure: Oscillator::new(&mesh.structure, base_m_s2),
             scale_m_s2: base_m_s2.abs(),
-            scale_pa: 1e-7 * deepest_pa.max(1.0),
+            scale_pa: mesh.least_scale_pa(),
         }
     }
 
@@ -114,8 +109,7 @@ impl<'a, const D: usize> Stepper<'a, D> {
             let (node, size) = self.residual(dt, base);
             let share = size / self.scale_pa;
             if share <= analysis.tolerance {
-                let shortest_s = (FRONT_SHARE * analysis.max_step_s).max(2.0 * analysis.min_step_s);
-                if dt > shortest_s && self.jump() > analysis.max_jump * self.scale_m_s2 {
+                if is_front(analysis, dt, self.scale_m_s2, || self.jump()) {
                     return Err(Cut::Front);
                 }
                 self.accept(base);
@@ -315,6 +309,13 @@ impl<'a, const D: usize> Stepper<'a, D> {
             *gamma += increment.gamma;
         }
     }
+}
+
+/// Whether a largest `jump` of the accelerations within an increment of `dt_s` is worth a shorter one where the largest acceleration so far
+/// is `scale_m_s2`.
+pub(super) fn is_front(analysis: &Analysis, dt_s: f64, scale_m_s2: f64, jump: impl FnOnce() -> f64) -> bool {
+    let shortest_s = (FRONT_SHARE * analysis.max_step_s).max(2.0 * analysis.min_step_s);
+    dt_s > shortest_s && analysis.max_jump.is_finite() && jump() > analysis.max_jump * scale_m_s2
 }
 
 /// Newmark's (β, γ) of the HHT method.

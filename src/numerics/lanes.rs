@@ -216,6 +216,11 @@ impl Width {
     pub fn lanes(self) -> usize {
         self.0
     }
+
+    /// The numbers of one lane in `[…][lane]`.
+    pub fn of_lane(self, array: &mut [f64], lane: usize) -> impl Iterator<Item = &mut f64> {
+        array.iter_mut().skip(lane).step_by(self.0)
+    }
 }
 
 /// The body of a function that calls `kernel::<L>` with its arguments, compiled for the registers of a [`Width`].
@@ -253,7 +258,12 @@ pub fn take_over(width: Width, lanes: &[bool], from: &[f64], to: &mut [f64]) {
 
 #[inline(always)]
 fn taken_over<L: Lane>(lanes: &[bool], from: &[f64], to: &mut [f64]) {
-    let is_taken = L::mask(lanes);
+    copy::<L>(L::mask(lanes), from, to);
+}
+
+/// [`take_over`] for a kernel.
+#[inline(always)]
+pub fn copy<L: Lane>(is_taken: L::Mask, from: &[f64], to: &mut [f64]) {
     for (to, from) in to.chunks_exact_mut(L::N).zip(from.chunks_exact(L::N)) {
         L::select(is_taken, L::load(from), L::load(to)).store(to);
     }

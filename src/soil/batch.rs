@@ -8,17 +8,32 @@ pub trait Batch {
     /// Puts a lane back to the geostatic state.
     fn restart(&mut self, lane: usize);
 
-    /// Turns the stresses and tangents of `lanes` after their last increment into those after `dt_s` more without strain.
-    fn relax(&mut self, lanes: &[bool], dt_s: &[f64], shear: &mut Shear);
+    /// Turns the stresses and tangents after the last increments into those after the time of `steps` without strain.
+    fn relax(&mut self, steps: &Steps, shear: &mut Shear);
 
-    /// Stresses and tangents after `increments` of shear strain that take `dt_s`; the first point of a lane that is refused to `refused`.
-    fn update(&mut self, increments: &[f64], dt_s: &[f64], shear: &mut Shear, refused: &mut [Option<(usize, Refusal)>]);
+    /// Stresses and tangents after `increments` of shear strain; the first point of a lane that is refused to `refused`. What becomes of
+    /// lanes without a step does not matter.
+    fn update(
+        &mut self,
+        steps: &Steps,
+        increments: &[f64],
+        shear: &mut Shear,
+        refused: &mut [Option<(usize, Refusal)>],
+    );
 
     /// Takes over the last update of `lanes`.
     fn accept(&mut self, lanes: &[bool]);
 
     /// Vertical effective stress of the points of a lane, Pa, tension positive.
     fn vertical_pa(&self, lane: usize, sigma_yy_pa: &mut [f64]);
+}
+
+/// Steps of the lanes that have one.
+pub struct Steps<'s> {
+    /// Which have.
+    pub lanes: &'s [bool],
+    /// How long they are, s; above nothing in every lane.
+    pub dt_s: &'s [f64],
 }
 
 /// Shear stress and tangent of points, `[point][lane]`, Pa.
@@ -65,7 +80,8 @@ impl Batch for LaneByLane<'_> {
         self.lanes[lane].responses.copy_from_slice(&self.response);
     }
 
-    fn relax(&mut self, lanes: &[bool], dt_s: &[f64], shear: &mut Shear) {
+    fn relax(&mut self, steps: &Steps, shear: &mut Shear) {
+        let Steps { lanes, dt_s } = *steps;
         let n = lanes.len();
         for (lane, memory) in self.lanes.iter_mut().enumerate().filter(|(lane, _)| lanes[*lane]) {
             memory.trial_responses.copy_from_slice(&memory.responses);
@@ -76,13 +92,14 @@ impl Batch for LaneByLane<'_> {
 
     fn update(
         &mut self,
+        steps: &Steps,
         increments: &[f64],
-        dt_s: &[f64],
         shear: &mut Shear,
         refused: &mut [Option<(usize, Refusal)>],
     ) {
-        let n = dt_s.len();
-        for (lane, memory) in self.lanes.iter_mut().enumerate() {
+        let Steps { lanes, dt_s } = *steps;
+        let n = lanes.len();
+        for (lane, memory) in self.lanes.iter_mut().enumerate().filter(|(lane, _)| lanes[*lane]) {
             for (own, all) in self.increments.iter_mut().zip(increments.chunks_exact(n)) {
                 *own = Increment { gamma: all[lane], eps_yy: 0.0, dt_s: dt_s[lane] };
             }

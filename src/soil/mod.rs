@@ -21,7 +21,7 @@ mod slider;
 mod softening;
 mod viscoelastic;
 
-pub use batch::{Batch, Shear};
+pub use batch::{Batch, Shear, Steps};
 pub use rate::Rate;
 pub use relaxation::{Damping, N_BODY, REFERENCE_HZ, Relaxation, bodies, relaxations};
 pub use scaled::{Scaled, Scaling};

@@ -59,20 +59,19 @@ pub fn shake(
         }
     }
     let columns = profiles.iter().map(|p| Column::new(p, &sections.analysis)).collect::<Result<Vec<_>>>()?;
-    let bases: Vec<(f64, Vec<f64>)> = motions
-        .iter()
-        .map(|motion| {
+    let hands = hands(&columns, &shaken, motions);
+    let run = |hand: usize| -> Vec<(usize, Response)> {
+        let own = &hands[hand];
+        let base = |i: &usize| {
+            let motion = &motions[*i];
             // Between the samples of a coarser record lies a band-limited motion, not a straight line.
             let dt_s = motion.dt_s.min(sections.analysis.output_step_s);
             (dt_s, resample_band_limited(motion.acceleration_m_s2, motion.dt_s, dt_s))
-        })
-        .collect();
-    let hands = hands(&columns, &shaken, &bases);
-    let run = |hand: usize| -> Vec<(usize, Response)> {
-        let own = &hands[hand];
-        let base = |i: &usize| column::BaseMotion { dt_s: bases[*i].0, acceleration_m_s2: &bases[*i].1 };
-        let found =
-            all_sensor_histories(&columns[shaken[own[0]]], &own.iter().map(base).collect::<Vec<_>>(), &depths_m);
+        };
+        let bases: Vec<(f64, Vec<f64>)> = own.iter().map(base).collect();
+        let bases: Vec<column::BaseMotion> =
+            bases.iter().map(|(dt_s, base)| column::BaseMotion { dt_s: *dt_s, acceleration_m_s2: base }).collect();
+        let found = all_sensor_histories(&columns[shaken[own[0]]], &bases, &depths_m);
         let outputs = |found: Result<Vec<Vec<f64>>>| match found {
             Ok(histories) => Ok(histories.into_iter().skip(1).collect()),
             Err(error) => Err(error.to_string()),
@@ -92,11 +91,12 @@ pub fn shake(
 }
 
 /// Motions that are run together: for every thread its part of those of a column that takes them side by side, else one by one.
-fn hands(columns: &[Column], shaken: &[usize], bases: &[(f64, Vec<f64>)]) -> Vec<Vec<usize>> {
+fn hands(columns: &[Column], shaken: &[usize], motions: &[BaseMotion<'_>]) -> Vec<Vec<usize>> {
     let mut hands: Vec<Vec<usize>> = Vec::new();
     for (number, column) in columns.iter().enumerate() {
-        let mut own: Vec<usize> = (0..bases.len()).filter(|i| shaken[*i] == number).collect();
-        own.sort_by_key(|i| std::cmp::Reverse(bases[*i].1.len()));
+        let mut own: Vec<usize> = (0..motions.len()).filter(|i| shaken[*i] == number).collect();
+        let duration_s = |i: &usize| motions[*i].acceleration_m_s2.len() as f64 * motions[*i].dt_s;
+        own.sort_by(|a, b| duration_s(b).total_cmp(&duration_s(a)));
         let count = if column.is_batched() { rayon::current_num_threads().min(own.len()) } else { own.len() };
         let dealt = |hand: usize| own.iter().skip(hand).step_by(count.max(1)).copied().collect();
         hands.extend((0..count).map(dealt));

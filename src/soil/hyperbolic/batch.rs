@@ -1,8 +1,8 @@
 //! The law under several motions at once.
 
 use super::{Branch, G, GAMMA_REF, Hyperbolic, MAX_REVERSALS, SIGMA, STACK};
-use crate::numerics::lanes::{Lane, WIDEST, Width, on_lanes};
-use crate::soil::{Batch, Refusal, Shear};
+use crate::numerics::lanes::{Lane, WIDEST, Width, copy, on_lanes};
+use crate::soil::{Batch, Refusal, Shear, Steps};
 
 /// Numbers of memory of a point and lane beside the reversals: those of the present branch among them, so that most updates look at these
 /// alone.
@@ -49,13 +49,12 @@ impl<'l> Points<'l> {
 
 impl Batch for Points<'_> {
     fn restart(&mut self, lane: usize) {
-        let lanes = self.width.lanes();
-        self.own.iter_mut().skip(lane).step_by(lanes).for_each(|x| *x = 0.0);
+        self.width.of_lane(&mut self.own, lane).for_each(|x| *x = 0.0);
     }
 
-    fn relax(&mut self, _: &[bool], _: &[f64], _: &mut Shear) {}
+    fn relax(&mut self, _: &Steps, _: &mut Shear) {}
 
-    fn update(&mut self, increments: &[f64], _: &[f64], shear: &mut Shear, refused: &mut [Option<(usize, Refusal)>]) {
+    fn update(&mut self, _: &Steps, increments: &[f64], shear: &mut Shear, refused: &mut [Option<(usize, Refusal)>]) {
         if !follow(self.width, self, increments, shear) {
             let lanes = self.width.lanes();
             for (lane, refused) in refused.iter_mut().enumerate() {
@@ -95,9 +94,7 @@ fn accepted<L: Lane>(points: &mut Points, lanes: &[bool]) {
                 }
             }
         }
-        for (own, trial) in own.chunks_exact_mut(n).zip(trial.chunks_exact(n)) {
-            L::select(is_meant, L::load(trial), L::load(own)).store(own);
-        }
+        copy::<L>(is_meant, trial, own);
     }
 }
 

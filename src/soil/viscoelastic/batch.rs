@@ -3,7 +3,7 @@
 use super::{INSTANT, N_OWN, REST, TAU, WEIGHTS};
 use crate::numerics::lanes::{Lane, Width, on_lanes, take_over};
 use crate::soil::relaxation::{N_BODY, times_s};
-use crate::soil::{Batch, Refusal, Shear};
+use crate::soil::{Batch, Refusal, Shear, Steps};
 
 /// Numbers of memory of a point and lane: stress of the law, A of (3), stresses of the springs.
 const N_LANE: usize = 2 + N_BODY;
@@ -34,25 +34,25 @@ impl Batch for Points<'_> {
         self.law.restart(lane);
         let lanes = self.width.lanes();
         for (own, start) in self.own.chunks_exact_mut(N_LANE * lanes).zip(self.start.chunks_exact(N_OWN)) {
-            own.iter_mut().skip(lane).step_by(lanes).for_each(|x| *x = 0.0);
+            self.width.of_lane(own, lane).for_each(|x| *x = 0.0);
             own[LAW * lanes + lane] = start[TAU];
             own[TANGENT * lanes + lane] = start[INSTANT];
         }
     }
 
-    fn relax(&mut self, lanes: &[bool], dt_s: &[f64], shear: &mut Shear) {
-        relax(self.width, self, lanes, dt_s, shear);
+    fn relax(&mut self, steps: &Steps, shear: &mut Shear) {
+        relax(self.width, self, steps, shear);
     }
 
     fn update(
         &mut self,
+        steps: &Steps,
         increments: &[f64],
-        dt_s: &[f64],
         shear: &mut Shear,
         refused: &mut [Option<(usize, Refusal)>],
     ) {
-        self.law.update(increments, dt_s, shear, refused);
-        follow(self.width, self, dt_s, shear);
+        self.law.update(steps, increments, shear, refused);
+        follow(self.width, self, steps, shear);
     }
 
     fn accept(&mut self, lanes: &[bool]) {
@@ -79,15 +79,15 @@ fn factors<L: Lane>(dt_s: &[f64]) -> [[L; 2]; N_BODY] {
     factors
 }
 
-fn relax(width: Width, points: &Points, lanes: &[bool], dt_s: &[f64], shear: &mut Shear) {
-    on_lanes!(width, relaxed(points: &Points, lanes: &[bool], dt_s: &[f64], shear: &mut Shear))
+fn relax(width: Width, points: &Points, steps: &Steps, shear: &mut Shear) {
+    on_lanes!(width, relaxed(points: &Points, steps: &Steps, shear: &mut Shear))
 }
 
 #[inline(always)]
-fn relaxed<L: Lane>(points: &Points, lanes: &[bool], dt_s: &[f64], shear: &mut Shear) {
+fn relaxed<L: Lane>(points: &Points, steps: &Steps, shear: &mut Shear) {
     let n = L::N;
-    let is_meant = L::mask(lanes);
-    let factors = factors::<L>(dt_s);
+    let is_meant = L::mask(steps.lanes);
+    let factors = factors::<L>(steps.dt_s);
     let one = L::splat(1.0);
     for (point, start) in points.start.chunks_exact(N_OWN).enumerate() {
         let own = &points.own[point * N_LANE * n..(point + 1) * N_LANE * n];
@@ -106,15 +106,15 @@ fn relaxed<L: Lane>(points: &Points, lanes: &[bool], dt_s: &[f64], shear: &mut S
     }
 }
 
-fn follow(width: Width, points: &mut Points, dt_s: &[f64], shear: &mut Shear) {
-    on_lanes!(width, followed(points: &mut Points, dt_s: &[f64], shear: &mut Shear))
+fn follow(width: Width, points: &mut Points, steps: &Steps, shear: &mut Shear) {
+    on_lanes!(width, followed(points: &mut Points, steps: &Steps, shear: &mut Shear))
 }
 
 /// (1)–(3) after the law gave `shear`.
 #[inline(always)]
-fn followed<L: Lane>(points: &mut Points, dt_s: &[f64], shear: &mut Shear) {
+fn followed<L: Lane>(points: &mut Points, steps: &Steps, shear: &mut Shear) {
     let n = L::N;
-    let factors = factors::<L>(dt_s);
+    let factors = factors::<L>(steps.dt_s);
     for (point, start) in points.start.chunks_exact(N_OWN).enumerate() {
         let own = &points.own[point * N_LANE * n..(point + 1) * N_LANE * n];
         let new = &mut points.trial[point * N_LANE * n..(point + 1) * N_LANE * n];
