@@ -181,7 +181,7 @@ pub trait Law: Send + Sync {
     fn relax_all(&self, _dt_s: f64, _committed: &[f64], _responses: &mut [Response]) {}
 
     /// Points that start with the memory `start` and these responses, under as many motions at once as `width` has lanes; `None` where
-    /// the law is followed lane by lane. See [`batch`].
+    /// the law is followed lane by lane. See [`batch()`].
     fn batch<'l>(&'l self, _start: &'l [f64], _responses: &[Response], _width: Width) -> Option<Box<dyn Batch + 'l>> {
         None
     }

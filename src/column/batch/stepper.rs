@@ -35,7 +35,7 @@ struct LaneState {
     scale_m_s2: f64,
 }
 
-/// The equations of motion of [`super::step::Stepper`] with one degree of freedom a node, for a motion in each lane: arrays are
+/// The equations of motion of [`crate::column::step::Stepper`] with one degree of freedom a node, for a motion in each lane: arrays are
 /// `[node][lane]` or `[element][lane]`.
 pub(super) struct Stepper<'a> {
     pub column: &'a Column,
