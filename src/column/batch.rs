@@ -3,7 +3,7 @@
 
 mod stepper;
 
-use super::run::{BaseMotion, Clock, Due, Frame, Frames, RunSummary};
+use super::run::{BaseMotion, Clock, Due, Frame, Frames, Input, RunSummary};
 use super::{Column, Failure};
 use crate::error::Result;
 use crate::numerics::lanes::Width;
@@ -20,23 +20,24 @@ pub(super) fn run(
     let mut stepper = Stepper::new(column, width);
     let mut frames = Frames::new(column);
     let mut waiting = 0..motions.len();
-    let mut lanes: Vec<Option<Run>> = (0..width.lanes()).map(|_| None).collect();
+    let mut lanes: Vec<Option<Run<'_>>> = (0..width.lanes()).map(|_| None).collect();
     loop {
         for (lane, run) in lanes.iter_mut().enumerate() {
             loop {
                 let Some(active) = run else {
                     let Some(next) = waiting.next() else { break };
-                    match motions[next].clock(&column.analysis) {
+                    let input = Input::new(column, motions[next]);
+                    match input.base().clock(&column.analysis) {
                         Ok(clock) => {
-                            stepper.restart(lane, motions[next].acceleration_m_s2[0]);
-                            *run = Some(Run { motion: next, clock, increment: None });
+                            stepper.restart(lane, input.base().acceleration_m_s2[0]);
+                            *run = Some(Run { motion: next, input, clock, increment: None });
                         }
                         Err(failure) => results[next] = Some(Err(failure)),
                     }
                     continue;
                 };
                 let number = active.motion;
-                match active.advance(&mut stepper, lane, &motions[number], &mut frames, &mut |f| sink(number, f)) {
+                match active.advance(&mut stepper, lane, &mut frames, &mut |f| sink(number, f)) {
                     Ok(true) => break,
                     Ok(false) => results[number] = Some(Ok(active.clock.summary)),
                     Err(failure) => results[number] = Some(Err(failure)),
@@ -53,20 +54,20 @@ pub(super) fn run(
 }
 
 /// A motion on its way.
-struct Run {
+struct Run<'m> {
     motion: usize,
+    input: Input<'m>,
     clock: Clock,
     /// Length and end of the increment that is being solved, s.
     increment: Option<[f64; 2]>,
 }
 
-impl Run {
+impl Run<'_> {
     /// Takes what the last iteration brought, shows what there is to show, and begins the next increment; false at the end.
     fn advance(
         &mut self,
         stepper: &mut Stepper<'_>,
         lane: usize,
-        base: &BaseMotion<'_>,
         frames: &mut Frames,
         sink: &mut dyn FnMut(&Frame) -> Result<()>,
     ) -> Result<bool, Failure> {
@@ -83,12 +84,12 @@ impl Run {
                 Due::Nothing => return Ok(false),
                 Due::Frame(time_s) => {
                     stepper.show(lane, frames);
-                    frames.hand_out(time_s, base.at(time_s), sink)?;
+                    frames.hand_out(time_s, &self.input, sink)?;
                     self.clock.shown(time_s);
                 }
                 Due::Increment { dt_s, end_s } => {
                     self.increment = Some([dt_s, end_s]);
-                    stepper.begin(lane, dt_s, base.at(end_s));
+                    stepper.begin(lane, dt_s, self.input.base().at(end_s));
                     return Ok(true);
                 }
             }

@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 pub struct Features {
     /// Impedance ratio q of the deepest layer over the half-space below; 0 is a rigid base.
     pub base_impedance_ratio: f64,
+    /// Corner of the coherence of up-going and down-going wave at the input sensor, Hz; 0 is no corner: they interfere wholly.
+    pub downgoing_corner_hz: f64,
     /// A structure on the surface.
     pub structure: Structure,
     /// Interfaces that slip.
@@ -137,6 +139,7 @@ impl Features {
             }
         };
         check("features.base_impedance_ratio".into(), self.base_impedance_ratio, "", 0.0, 10.0);
+        check("features.downgoing_corner_hz".into(), self.downgoing_corner_hz, " Hz", 0.0, f64::INFINITY);
         check("features.structure.mass_kg_m2".into(), self.structure.mass_kg_m2, " kg/m²", 0.0, 1e6);
         if self.structure.mass_kg_m2 > 0.0 {
             check("features.structure.frequency_hz".into(), self.structure.frequency_hz, " Hz", 0.05, 100.0);

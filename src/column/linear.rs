@@ -1,6 +1,6 @@
 //! The column as a linear analysis sees it: masses, heights, viscous damping, and the law of each element at rest.
 
-use super::{Column, Structure};
+use super::{Column, Downgoing, Structure};
 use crate::soil::{Law, Relaxation};
 use std::f64::consts::TAU;
 
@@ -75,6 +75,11 @@ impl Column {
         }
         let sum = |of: &[[f64; 2]]| of.iter().take(n).map(|x| x[0]).sum::<f64>();
         0.5 * (lost_s / travel_s + sum(&self.mesh.dashpot) / (omega * sum(&self.mesh.mass)))
+    }
+
+    /// The motion of the base over what is recorded there, where that is another one.
+    pub fn downgoing(&self) -> Option<&Downgoing> {
+        self.downgoing.as_ref()
     }
 
     /// The structure on the surface.

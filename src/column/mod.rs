@@ -24,11 +24,15 @@
 //! ```
 //!
 //! a dashpot, ρV that of the deepest layer. Displacements and mass-proportional damping are then relative to the input.
+//! Where the down-going wave has lost coherence at the sensor that recorded the motion handed in
+//! ([`Features::downgoing_corner_hz`]), that motion is first made one of the base ([`Downgoing`]).
+//!
 //! Limits: vertical incidence; the base stays fixed vertically. Check: `tests/verification/boundaries.rs` against the
 //! exact solution. Source: Lysmer & Kuhlemeyer (1969), doi 10.1061/JMCEA3.0001144.
 
 mod analysis;
 mod batch;
+mod downgoing;
 mod failure;
 mod features;
 mod linear;
@@ -39,6 +43,7 @@ mod run;
 mod step;
 
 pub use analysis::Analysis;
+pub use downgoing::Downgoing;
 pub use failure::{Cause, Failure};
 pub use features::{Container, Features, RateZone, Slip, SofteningZone, Structure};
 pub use linear::Slice;
@@ -53,6 +58,7 @@ use mesh::Mesh;
 pub struct Column {
     mesh: Mesh,
     analysis: Analysis,
+    downgoing: Option<Downgoing>,
 }
 
 impl Column {
@@ -70,7 +76,9 @@ impl Column {
         if !problems.is_empty() {
             return Err(crate::error::Error::new(problems.join("\n")).usage());
         }
-        Ok(Self { mesh: Mesh::new(profile)?, analysis: analysis.clone() })
+        let (mesh, corner_hz) = (Mesh::new(profile)?, profile.features.downgoing_corner_hz);
+        let downgoing = (corner_hz > 0.0 && corner_hz.is_finite()).then(|| Downgoing::new(&mesh, corner_hz));
+        Ok(Self { mesh, analysis: analysis.clone(), downgoing })
     }
 
     /// Depths of the element centres, surface down, m.

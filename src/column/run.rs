@@ -1,7 +1,7 @@
 //! A whole motion: increments that grow and shrink, and a frame at every output time.
 
 use super::step::{Cut, Stepper};
-use super::{Analysis, Cause, Column, Failure, batch};
+use super::{Analysis, Cause, Column, Downgoing, Failure, batch};
 use crate::error::Result;
 use crate::numerics::lanes::Width;
 
@@ -10,7 +10,8 @@ use crate::numerics::lanes::Width;
 pub struct Frame<'a> {
     /// Time, s.
     pub time_s: f64,
-    /// Horizontal acceleration handed in, m/s²: that of a rigid base, of the outcrop of a compliant one.
+    /// Horizontal acceleration handed in, m/s²: that of a rigid base, of the outcrop of a compliant one, or what is recorded there
+    /// where down-going waves have lost coherence.
     pub base_m_s2: f64,
     /// Absolute horizontal acceleration at the element centres, surface down, m/s².
     pub elements_m_s2: &'a [f64],
@@ -69,6 +70,27 @@ impl BaseMotion<'_> {
         let n_output = (duration_s / analysis.output_step_s + 1e-6).floor() as usize;
         let step_s = analysis.initial_step_s;
         Ok(Clock { output: 0, n_output, time_s: 0.0, step_s, easy: 0, summary: RunSummary::default() })
+    }
+}
+
+/// A motion as it is handed in, and what it makes the base do.
+pub(super) struct Input<'m> {
+    recorded: BaseMotion<'m>,
+    /// Acceleration of the base, m/s², where that is another one.
+    base_m_s2: Option<Vec<f64>>,
+}
+
+impl<'m> Input<'m> {
+    pub fn new(column: &Column, recorded: BaseMotion<'m>) -> Self {
+        let is_sound = !recorded.acceleration_m_s2.is_empty() && recorded.dt_s > 0.0;
+        let of = |d: &Downgoing| d.base(recorded.acceleration_m_s2, recorded.dt_s);
+        Self { recorded, base_m_s2: column.downgoing.as_ref().filter(|_| is_sound).map(of) }
+    }
+
+    /// The motion of the base.
+    pub fn base(&self) -> BaseMotion<'_> {
+        let base = self.base_m_s2.as_deref().unwrap_or(self.recorded.acceleration_m_s2);
+        BaseMotion { dt_s: self.recorded.dt_s, acceleration_m_s2: base }
     }
 }
 
@@ -201,9 +223,11 @@ impl Column {
     /// [`Column::run`] of nodes with D degrees of freedom.
     fn run_nodes<const D: usize>(
         &self,
-        base: BaseMotion<'_>,
+        recorded: BaseMotion<'_>,
         sink: &mut dyn FnMut(&Frame) -> Result<()>,
     ) -> Result<RunSummary, Failure> {
+        let input = Input::new(self, recorded);
+        let base = input.base();
         let mut clock = base.clock(&self.analysis)?;
         let mut stepper = Stepper::<D>::new(self, base.acceleration_m_s2[0]);
         let mut frames = Frames::new(self);
@@ -212,7 +236,7 @@ impl Column {
                 Due::Nothing => return Ok(clock.summary),
                 Due::Frame(time_s) => {
                     stepper.show(&mut frames);
-                    frames.hand_out(time_s, base.at(time_s), sink)?;
+                    frames.hand_out(time_s, &input, sink)?;
                     clock.shown(time_s);
                 }
                 Due::Increment { dt_s, end_s } => match stepper.advance(dt_s, base.at(end_s)) {
@@ -251,13 +275,14 @@ impl Frames {
     pub fn hand_out(
         &mut self,
         time_s: f64,
-        base_m_s2: f64,
+        input: &Input<'_>,
         sink: &mut dyn FnMut(&Frame) -> Result<()>,
     ) -> Result<(), Failure> {
+        let base_m_s2 = input.base().at(time_s);
         self.elements_m_s2.iter_mut().for_each(|a| *a += base_m_s2);
         let frame = Frame {
             time_s,
-            base_m_s2,
+            base_m_s2: input.recorded.at(time_s),
             elements_m_s2: &self.elements_m_s2,
             surface_m_s2: base_m_s2 + self.surface_m_s2,
             gamma: &self.gamma,

@@ -69,6 +69,8 @@ pub struct ErrorRow {
     pub nrmse_percent: Six<Option<f64>>,
     /// The same in the band in which the site is coherent, %; over all frequencies where no coherence is known.
     pub nrmse_coherent_percent: Six<Option<f64>>,
+    /// That of the coherent mean, %: of the prediction times the coherence.
+    pub nrmse_coherent_mean_percent: Six<Option<f64>>,
     /// The field's measures by model: the predictions, `ceiling`, and `other_component`, the other horizontal record taken for a
     /// prediction of this one.
     pub measures: BTreeMap<String, Option<Measures>>,
@@ -106,6 +108,8 @@ pub struct Summary {
     pub test_ci95_nrmse_percent: Six<Option<[f64; 2]>>,
     /// Medians in the coherent band.
     pub test_median_nrmse_coherent_percent: Six<Option<f64>>,
+    /// Medians of the coherent mean.
+    pub test_median_nrmse_coherent_mean_percent: Six<Option<f64>>,
     /// Median with the simulations as declared and the calibration alone on the corrected manifest.
     pub test_median_ablation_percent: Option<f64>,
     /// Edges of the bands of the Fourier amplitude, Hz.
@@ -180,6 +184,7 @@ impl Summary {
             test_mean_nrmse_percent: means.map(|m| m.map(|m| m.mean)),
             test_ci95_nrmse_percent: means.map(|m| m.and_then(|m| m.ci95)),
             test_median_nrmse_coherent_percent: median_of(|row| &row.nrmse_coherent_percent),
+            test_median_nrmse_coherent_mean_percent: median_of(|row| &row.nrmse_coherent_mean_percent),
             test_median_ablation_percent: middle(beside.collect()),
             fourier_bands_hz: crate::metrics::fourier_bands().edges,
             psa_bands_s: crate::metrics::psa_bands().edges,
@@ -261,8 +266,16 @@ mod tests {
     fn row(event: &str, split: Split, recalibrated: f64, corrected: Option<f64>) -> ErrorRow {
         let nrmse_percent = Six { recalibrated: Some(recalibrated), corrected, ..Six::default() };
         let (event, component, sensor) = (event.into(), "EW".into(), "S".into());
-        let nrmse_coherent_percent = Six::default();
-        ErrorRow { event, component, sensor, split, nrmse_percent, nrmse_coherent_percent, measures: BTreeMap::new() }
+        ErrorRow {
+            event,
+            component,
+            sensor,
+            split,
+            nrmse_percent,
+            nrmse_coherent_percent: Six::default(),
+            nrmse_coherent_mean_percent: Six::default(),
+            measures: BTreeMap::new(),
+        }
     }
 
     fn summary(rows: &[ErrorRow]) -> Summary {

@@ -3,7 +3,7 @@
 use super::curves::{Curve, Curves};
 use super::surroundings::Surroundings;
 use super::tuning::Tuning;
-use crate::column::{Analysis, Column, Features, Profile, Slice, Structure};
+use crate::column::{Analysis, Column, Downgoing, Features, Profile, Slice, Structure};
 use crate::error::Result;
 use crate::soil::{N_BODY, Point, Rate, Relaxation, Softening, bodies};
 use realfft::num_complex::Complex;
@@ -41,6 +41,7 @@ pub struct FastColumn {
     mass: Vec<f64>,
     damping: Vec<f64>,
     structure: Structure,
+    downgoing: Option<Downgoing>,
     depth_m: f64,
     travel_s: f64,
     is_dispersive: bool,
@@ -138,6 +139,7 @@ impl FastColumn {
             mass: column.node_mass_kg_m2(),
             damping: column.node_damping_kg_m2_s(),
             structure: column.structure(),
+            downgoing: column.downgoing().cloned(),
             depth_m: coarse.depth_m(),
             travel_s: coarse.travel_time_s(),
             is_dispersive: true,
@@ -177,6 +179,7 @@ impl FastColumn {
             grid,
             is_damped,
             is_compliant,
+            downgoing: self.downgoing.clone(),
             base: [Vec::new(), Vec::new()],
             sensors: vec![[vec![C64::default(); n], vec![C64::default(); n]]; depths_m.len()],
             strain: [vec![C64::default(); n * self.elements.len()], Vec::new()],
@@ -420,6 +423,7 @@ pub struct March {
     grid: Grid,
     is_damped: bool,
     is_compliant: bool,
+    downgoing: Option<Downgoing>,
     /// U_h and U_p at the base; their tractions below the base node where it is compliant.
     base: [Vec<C64>; 2],
     /// U_h and U_p at each sensor.
@@ -438,15 +442,22 @@ impl March {
         ((wanted - particular) / at(&self.base[0]), i, weights)
     }
 
-    /// Total motion of every sensor over the base motion at `frequency_hz`, written to `out`.
+    /// Motion of the base over that which is recorded there.
+    fn base(&self, frequency_hz: f64) -> C64 {
+        self.downgoing.as_ref().map_or(C64::new(1.0, 0.0), |d| d.at(frequency_hz))
+    }
+
+    /// Total motion of every sensor over the recorded base motion at `frequency_hz`, written to `out`.
     pub fn response(&self, frequency_hz: f64, out: &mut [C64]) {
         let (a, i, weights) = self.amplitude(frequency_hz);
+        let base = self.base(frequency_hz);
         for (out, [h, p]) in out.iter_mut().zip(&self.sensors) {
             let at = |v: &[C64]| (0..4).map(|k| v[i + k] * weights[k]).sum::<C64>();
             *out = a * at(h);
             if self.is_damped {
                 *out += at(p);
             }
+            *out *= base;
         }
     }
 
@@ -456,7 +467,7 @@ impl March {
         let mut weights = vec![[0.0; 4]; n];
         for (f, u) in frequencies_hz.iter().zip(u) {
             let a = self.amplitude(*f).0;
-            let power = u.norm_sqr();
+            let power = (u * self.base(*f)).norm_sqr();
             let x = ((f - self.grid.first_hz) / self.grid.step_hz).clamp(0.0, n as f64 - 1.001);
             let (i, share) = (x.floor() as usize, x - x.floor());
             for (node, share) in [(i, 1.0 - share), (i + 1, share)] {

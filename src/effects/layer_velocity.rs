@@ -26,8 +26,8 @@ const PARAMETERS: &[Parameter] = &[Parameter {
     name: "ln_factor",
     unit: "",
     zero: Some(0.0),
-    low: -0.5,
-    high: 0.5,
+    low: -1.2,
+    high: 1.2,
     scale: Scale::Linear,
     prior_sd: 0.2,
     draw: [0.08, 0.2],
@@ -102,7 +102,7 @@ fn group_cuts_m(profile: &Profile) -> Vec<f64> {
 ///
 /// | symbol    | field       | unit | range      |
 /// |-----------|-------------|------|------------|
-/// | ln_factor | `ln_factor` | –    | −0.7…0.7   |
+/// | ln_factor | `ln_factor` | –    | −1.5…1.5   |
 /// | top       | `top_m`     | m    | ≥ 0        |
 /// | bottom    | `bottom_m`  | m    | > `top_m`  |
 ///
@@ -121,7 +121,7 @@ struct LayerVelocity {
 
 impl LayerVelocity {
     fn checked(self) -> Result<Self> {
-        super::ranges(&[("ln_factor", self.ln_factor, -0.7, 0.7, "")])?;
+        super::ranges(&[("ln_factor", self.ln_factor, -1.5, 1.5, "")])?;
         super::depth_range(self.top_m, self.bottom_m)?;
         Ok(self)
     }

@@ -18,6 +18,7 @@ mod container_boundary;
 mod contractancy;
 mod curve_shape;
 mod directional_anisotropy;
+mod downgoing_wave;
 mod frequency_dependent_damping;
 mod incoherence;
 mod instrument_high_pass;
@@ -169,6 +170,7 @@ pub const EFFECTS: &[Entry] = &[
     contractancy::ENTRY,
     curve_shape::ENTRY,
     interface_depth::ENTRY,
+    downgoing_wave::ENTRY,
     incoherence::ENTRY,
     unnamed_response::ENTRY,
 ];

@@ -59,7 +59,7 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 /// | ln_gamma_ref | `ln_gamma_ref`     | –    | −3…3  |
 /// | depth range  | `top_m`, `bottom_m`| m    | ≥ 0   |
 ///
-/// Limits: friction angles stop at 60° and dilation stays below friction; a strength below the geostatic stress is
+/// Limits: friction angles stop at 60°, M at 0.3 and 2.5, and dilation stays below friction; a strength below the geostatic stress is
 /// refused by the law.
 /// Check:  `the_secant_modulus_is_the_same_at_a_strain_larger_by_the_factor` (within 12 % for all laws).
 /// Source: Darendeli (2001) for γ_r; Dafalias & Manzari (2004) for the role of h₀.
@@ -98,7 +98,10 @@ impl Effect for Nonlinearity {
             match layer.law_kind.as_str() {
                 "hyperbolic" => layers::scale(layer, "gamma_ref_multiplier", 1.0, factor),
                 "sanisand" => layers::scale(layer, "h_0", 6.0, factor),
-                "cam_clay" => layers::scale(layer, "m", 1.2, factor),
+                "cam_clay" => {
+                    let m = layers::number(layer, "m", 1.2);
+                    layers::set(layer, "m", (factor * m).clamp(0.3, 2.5));
+                }
                 "mohr_coulomb" => {
                     layers::scale(layer, "cohesion_kpa", 1.0, factor);
                     let tangent = layers::number(layer, "friction_angle_deg", 35.0).to_radians().tan();

@@ -16,7 +16,7 @@ use crate::error::Result;
 use crate::metrics::t_quantile;
 use crate::progress::Progress;
 use crate::records::Split;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest probability that nothing is missing beside which an effect is named.
 const NOTHING: f64 = 0.05;
@@ -100,13 +100,9 @@ impl<'a> Answer<'_, 'a> {
         let nothing = mass.get(&Vec::new()).copied().unwrap_or(0.0);
         let best = self.competition.best();
         let is_missing = !best.model.effects.is_empty() && nothing < NOTHING;
-        let included = |kind: &&str| mass.iter().filter(|(set, _)| set.contains(kind)).map(|(_, p)| p).sum::<f64>();
-        // What may be there besides, and may not, is not claimed.
-        let is_sure = |fit: &Fit<'a>| {
-            let kinds = kinds(fit);
-            let own = mass.get(&kinds).copied().unwrap_or(0.0);
-            !kinds.is_empty() && own >= NOTHING && kinds.iter().all(|kind| included(kind) >= KNOWN)
-        };
+        // What may be there besides, and may not, is not claimed: the median probability model.
+        let known = known_kinds(&mass);
+        let is_sure = |fit: &Fit<'a>| !known.is_empty() && kinds(fit) == known;
         let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
         let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
@@ -135,6 +131,7 @@ impl<'a> Answer<'_, 'a> {
             }
         }
         let range = answer.model.declared.len();
+        let besides = (verdict == Verdict::Known).then(|| besides(&mass, &known)).flatten();
         Diagnosis {
             verdict,
             effects: if is_named { self.found(answer) } else { Vec::new() },
@@ -151,7 +148,7 @@ impl<'a> Answer<'_, 'a> {
             upper_bounds: Vec::new(),
             remainder: Remainder::default(),
             evidence: Default::default(),
-            notes: vec![sentence(&rest)],
+            notes: [sentence(&rest)].into_iter().chain(besides).collect(),
             rest: Some(rest),
         }
     }
@@ -230,7 +227,9 @@ impl<'a> Answer<'_, 'a> {
         let [repeatable, strays, recorded] = residual_powers(self.forward, &prediction, &spread);
         let share = [repeatable, strays].map(|p| p / recorded.max(f64::MIN_POSITIVE));
         let level = spread.shared_level(self.forward);
-        let verdict = if is_unnamed || level > UNNAMED {
+        // What repeats is what remains where it is most of it; more data would not name what strays.
+        let is_mostly_repeatable = level > UNNAMED && share[0] > share[1];
+        let verdict = if is_unnamed || is_mostly_repeatable {
             RestVerdict::Unnamed
         } else if share[1] > self.problem.tolerances.model.powi(2) {
             RestVerdict::Incoherent
@@ -341,6 +340,34 @@ fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
         .collect()
 }
 
+/// Kinds that are there with a probability of [`KNOWN`] by `mass`, that of each set of kinds; as often as is that probable.
+///
+/// Source: Barbieri & Berger (2004), doi 10.1214/009053604000000238, for models of what is probable by itself.
+fn known_kinds(mass: &BTreeMap<Vec<&'static str>, f64>) -> Vec<&'static str> {
+    let all: BTreeSet<&'static str> = mass.keys().flatten().copied().collect();
+    let is_known = |kind: &str, n: usize| probability_of(mass, kind, n) >= KNOWN;
+    all.into_iter().flat_map(|kind| (1..).take_while(move |n| is_known(kind, *n)).map(move |_| kind)).collect()
+}
+
+/// Probability that an effect of `kind` is there at least `n` times.
+fn probability_of(mass: &BTreeMap<Vec<&'static str>, f64>, kind: &str, n: usize) -> f64 {
+    let count = |set: &[&str]| set.iter().filter(|k| **k == kind).count();
+    mass.iter().filter(|(set, _)| count(set) >= n).map(|(_, p)| p).sum()
+}
+
+/// Kinds that may be there besides the `known` ones, and may not, in a sentence.
+fn besides(mass: &BTreeMap<Vec<&'static str>, f64>, known: &[&'static str]) -> Option<String> {
+    let all: BTreeSet<&'static str> = mass.keys().flatten().copied().collect();
+    let open = |kind: &&str| {
+        let n = 1 + known.iter().filter(|k| *k == kind).count();
+        let probability = probability_of(mass, kind, n);
+        (probability > NOTHING).then(|| format!("{} ({probability:.2})", kind.replace('_', " ")))
+    };
+    let named: Vec<String> = all.iter().filter_map(open).collect();
+    (!named.is_empty())
+        .then(|| format!("Besides, and not named because not probable enough (probability): {}.", named.join(", ")))
+}
+
 /// Kinds of the named effects.
 fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
     let mut kinds: Vec<&'static str> = fit.model.effects.iter().filter(|e| e.is_named()).map(|e| e.kind).collect();
@@ -405,6 +432,19 @@ mod tests {
     fn diagnosed(truth: &Truth<'_>) -> Diagnosis {
         let problem = problem(truth);
         diagnose(&problem, &Uniform(&problem), &DiagnoseSettings::default(), &Quiet).unwrap()
+    }
+
+    #[test]
+    fn known_is_what_is_probable_whatever_is_beside_it() {
+        let mass = |sets: &[(&[&'static str], f64)]| sets.iter().map(|(set, p)| (set.to_vec(), *p)).collect();
+        let open: BTreeMap<_, _> = mass(&[(&["a"], 0.05), (&["a", "b"], 0.5), (&["a", "c"], 0.45)]);
+        assert_eq!(known_kinds(&open), ["a"]);
+        let sentence = besides(&open, &["a"]).unwrap();
+        assert!(sentence.contains("b (0.50), c (0.45)"), "{sentence}");
+        assert!(besides(&mass(&[(&["a"], 0.97), (&["a", "b"], 0.03)]), &["a"]).is_none());
+        assert_eq!(known_kinds(&mass(&[(&["a"], 0.04), (&["a", "a"], 0.96)])), ["a", "a"]);
+        assert_eq!(known_kinds(&mass(&[(&["a", "a"], 0.5), (&["a", "b"], 0.5)])), ["a"]);
+        assert!(known_kinds(&mass(&[(&["a"], 0.6), (&["b"], 0.4)])).is_empty());
     }
 
     #[test]

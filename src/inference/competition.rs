@@ -133,13 +133,15 @@ impl<'a> Competition<'a> {
         for _ in 0..ROUNDS {
             self.renew_anchor()?;
             self.renew_spread(progress)?;
-            let best = self.best().model.effects.clone();
+            // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what
+            // they would explain.
+            let named = self.best_of(|fit| fit.model.effects.iter().all(Instance::is_named)).unwrap_or(&self.fits[0]);
+            let best = named.model.effects.clone();
             let without = |i: usize| [&best[..i], &best[i + 1..]].concat();
             // What is simpler first: it may do as well.
             let open = (0..best.len()).map(without).chain([best.clone()]);
             let is_open = |set: &Vec<Instance>| {
-                set.iter().filter(|e| e.is_named()).count() < self.max_effects
-                    && !self.expanded.iter().any(|e| is_same_set(e, set))
+                set.len() <= self.max_effects && !self.expanded.iter().any(|e| is_same_set(e, set))
             };
             let Some(next) = open.into_iter().find(is_open) else { break };
             self.expand(next, progress)?;
@@ -251,9 +253,10 @@ impl<'a> Competition<'a> {
         self.expanded.push(effects);
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
-        let mut heats = self.heats(&by, &by, &start, &start, false);
+        let is_open = start.model.effects.len() < self.max_effects;
+        let mut heats = if is_open { self.heats(&by, &by, &start, &start, false) } else { Vec::new() };
         heats.extend(self.unnamed(&by, &start));
-        if base.is_strained() {
+        if is_open && base.is_strained() {
             // Far from what the records say only the lowest modes tell where to go.
             let lowest = by.of_lowest_modes();
             heats.extend(self.heats(&by, &lowest, &start, &Self::relaxed(&lowest, &start)?, true));

@@ -196,7 +196,7 @@ impl Declared {
                 table.insert("top_m".into(), pair[0].into());
                 table.insert("bottom_m".into(), pair[1].into());
                 // The range of the effect; velocities beyond it are no tolerance.
-                table.insert("ln_factor".into(), ln.clamp(-0.7, 0.7).into());
+                table.insert("ln_factor".into(), ln.clamp(-1.5, 1.5).into());
                 table
             })
             .collect();

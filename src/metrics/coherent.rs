@@ -1,4 +1,4 @@
-//! NRMSE in the band in which the record can be predicted wave by wave.
+//! NRMSE where the record can be predicted wave by wave, and of what can be predicted of it wave by wave.
 
 use crate::numerics::spectrum::spectrum;
 
@@ -21,6 +21,28 @@ pub const COHERENT: f64 = 0.7;
 /// Limits: NaN where the band holds nothing of the record; by Parseval the full band gives the NRMSE of the series.
 /// Check:  `only_coherent_frequencies_count`, `the_full_band_is_the_nrmse_of_the_series`.
 pub fn coherent_nrmse_percent(pred: &[f64], obs: &[f64], dt_s: f64, coherence: Option<&[[f64; 2]]>) -> f64 {
+    over_band(pred, obs, dt_s, |f_hz| {
+        let counts = coherence.is_none_or(|c| at(c, f_hz) >= COHERENT);
+        counts.then_some(1.0)
+    })
+}
+
+/// NRMSE in percent of what a prediction says of the waveform of a record that follows it with the coherence c: its coherent mean.
+///
+/// ```text
+/// NRMSE_m = √( Σ |c(f) P(f) − A(f)|² / Σ |A(f)|² ) · 100 %              (2)
+/// ```
+///
+/// Arguments as those of [`coherent_nrmse_percent`]; sums are over all frequencies. Without a coherence it is the NRMSE of the series.
+///
+/// Check:  `the_coherent_mean_of_what_does_not_follow_is_nothing`.
+/// Source: c P is the mean of A given P where both are normal; Bendat and Piersol (2010), Random Data, section 6.1.
+pub fn coherent_mean_nrmse_percent(pred: &[f64], obs: &[f64], dt_s: f64, coherence: Option<&[[f64; 2]]>) -> f64 {
+    over_band(pred, obs, dt_s, |f_hz| Some(coherence.map_or(1.0, |c| at(c, f_hz))))
+}
+
+/// NRMSE in percent of a prediction times a factor of frequency, over the frequencies that have one.
+fn over_band(pred: &[f64], obs: &[f64], dt_s: f64, factor: impl Fn(f64) -> Option<f64>) -> f64 {
     if pred.len() != obs.len() || obs.is_empty() {
         return f64::NAN;
     }
@@ -28,10 +50,10 @@ pub fn coherent_nrmse_percent(pred: &[f64], obs: &[f64], dt_s: f64, coherence: O
     let (_, predicted) = spectrum(pred, dt_s);
     let (mut left, mut all) = (0.0, 0.0);
     for (k, f_hz) in frequencies_hz.iter().enumerate() {
-        if coherence.is_none_or(|c| at(c, *f_hz) >= COHERENT) {
+        if let Some(factor) = factor(*f_hz) {
             // The lines between zero and the Nyquist frequency stand for their mirror images, too.
             let weight = if k == 0 || k + 1 == frequencies_hz.len() { 0.5 } else { 1.0 };
-            left += weight * (predicted[k] - observed[k]).norm_sqr();
+            left += weight * (predicted[k] * factor - observed[k]).norm_sqr();
             all += weight * observed[k].norm_sqr();
         }
     }
@@ -58,6 +80,16 @@ mod tests {
     fn the_full_band_is_the_nrmse_of_the_series() {
         let got = coherent_nrmse_percent(&predicted(), &observed(), DT_S, None);
         assert!((got - nrmse_percent(&predicted(), &observed())).abs() < 1e-9);
+    }
+
+    #[test]
+    fn the_coherent_mean_of_what_does_not_follow_is_nothing() {
+        let (pred, obs) = (predicted(), observed());
+        let mean = |c: f64| coherent_mean_nrmse_percent(&pred, &obs, DT_S, Some(&[[1.0, c]]));
+        assert!((mean(0.0) - 100.0).abs() < 1e-9);
+        let half: Vec<f64> = pred.iter().map(|p| 0.5 * p).collect();
+        assert!((mean(0.5) - nrmse_percent(&half, &obs)).abs() < 1e-9);
+        assert!((coherent_mean_nrmse_percent(&pred, &obs, DT_S, None) - nrmse_percent(&pred, &obs)).abs() < 1e-9);
     }
 
     #[test]

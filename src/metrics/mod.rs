@@ -24,7 +24,7 @@ mod transfer;
 
 pub use anderson::{Anderson, BANDS_HZ as ANDERSON_BANDS_HZ};
 pub use ceiling::{Ceiling, FreeFilter, Pair};
-pub use coherent::{COHERENT, coherent_nrmse_percent};
+pub use coherent::{COHERENT, coherent_mean_nrmse_percent, coherent_nrmse_percent};
 pub use cosine::cosine_similarity;
 pub use field::{BiasSigma, Claimed, FieldSummary};
 pub use fourier::smoothed_fourier_amplitude;

@@ -88,7 +88,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -6,13 +6,16 @@ use super::ceiling::{CeilingErrors, ceilings};
 use super::evaluate;
 use crate::diagnosis::{ErrorRow, Six};
 use crate::metrics::{
-    History, Measures, SensorTransfer, TransferFit, coherent_nrmse_percent, fourier_frequencies_hz,
-    smoothed_fourier_amplitude,
+    History, Measures, SensorTransfer, TransferFit, coherent_mean_nrmse_percent, coherent_nrmse_percent,
+    fourier_frequencies_hz, smoothed_fourier_amplitude,
 };
 use crate::records::Split;
 use crate::units::G_M_S2;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
+
+/// An NRMSE, %, of a prediction of a record every so many seconds with this coherence.
+type Nrmse = fn(&[f64], &[f64], f64, Option<&[[f64; 2]]>) -> f64;
 
 /// Highest frequency that the score looks at, Hz: meshes and processed records hold nothing sound above.
 const SCORED_TO_HZ: f64 = 20.0;
@@ -132,10 +135,20 @@ impl Channel {
         coherence: &BTreeMap<String, Vec<[f64; 2]>>,
     ) -> ErrorRow {
         let coherence = coherence.get(&self.sensor).map(Vec::as_slice);
-        let coherent = |model: &'static str| {
-            let predicted = self.coarse.predicted.get(model)?;
-            let percent = coherent_nrmse_percent(predicted, &self.coarse.observed, self.coarse.dt_s, coherence);
-            Some(percent).filter(|v| v.is_finite())
+        let by = |of: Nrmse, ceiling: Option<f64>| {
+            let percent = |model: &'static str| {
+                let percent = of(self.coarse.predicted.get(model)?, &self.coarse.observed, self.coarse.dt_s, coherence);
+                Some(percent).filter(|v| v.is_finite())
+            };
+            Six {
+                declared: percent("declared"),
+                recalibrated: percent("recalibrated"),
+                corrected: percent("corrected"),
+                flare_before: percent("flare_before"),
+                flare_after: percent("flare_after"),
+                noise_floor: None,
+                ceiling,
+            }
         };
         let of = |model: &'static str| {
             let (axis, history) = measured.predicted.get(model)?;
@@ -152,15 +165,9 @@ impl Channel {
             sensor: self.sensor.clone(),
             split: self.split,
             nrmse_percent: Six { ceiling: ceiling.nrmse_percent, ..self.nrmse_percent },
-            nrmse_coherent_percent: Six {
-                declared: coherent("declared"),
-                recalibrated: coherent("recalibrated"),
-                corrected: coherent("corrected"),
-                flare_before: coherent("flare_before"),
-                flare_after: coherent("flare_after"),
-                noise_floor: None,
-                ceiling: ceiling.nrmse_coherent_percent,
-            },
+            nrmse_coherent_percent: by(coherent_nrmse_percent, ceiling.nrmse_coherent_percent),
+            // The filter was fitted by least squares: what it predicts is a coherent mean.
+            nrmse_coherent_mean_percent: by(coherent_mean_nrmse_percent, ceiling.nrmse_percent),
             measures,
         }
     }

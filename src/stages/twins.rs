@@ -54,7 +54,7 @@ impl Stage for TwinThresholds {
     }
 
     fn version(&self) -> u32 {
-        23
+        24
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -85,7 +85,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        34
+        35
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -73,9 +73,10 @@ fn any_layer() -> impl Strategy<Value = Layer> {
 
 /// Nothing beyond layers half of the time; otherwise some of everything.
 fn any_features() -> impl Strategy<Value = Features> {
-    let some = (0.0..1.0, 0.0..8e3, 0.5..8.0, 0.5..2.0, 1e3..2e4, 0.0..1e4, 0.0..1.0, 0.0..0.2).prop_map(
-        |(q, mass_kg_m2, frequency_hz, depth_m, tau_max_pa, container, ru, rate)| Features {
+    let some = (0.0..1.0, 0.0..8e3, 0.5..8.0, 0.5..2.0, 1e3..2e4, 0.0..1e4, 0.0..1.0, 0.0..0.2, 0.0..9.0).prop_map(
+        |(q, mass_kg_m2, frequency_hz, depth_m, tau_max_pa, container, ru, rate, downgoing_corner_hz)| Features {
             base_impedance_ratio: q,
+            downgoing_corner_hz,
             structure: Structure { mass_kg_m2, frequency_hz, damping_ratio: 0.05 },
             slips: vec![Slip { depth_m: 0.25 * depth_m, tau_max_pa }],
             container: Container { mass_kg_m2: container, stiffness_pa: 100.0 * container },

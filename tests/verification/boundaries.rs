@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 /// container: U = 1 and τ = −m ω² T at the surface, marched down, over U + q τ/(iω ρV) at the base.
 fn exact(profile: &Profile, f_hz: f64) -> Complex {
     let w = TAU * f_hz;
-    let Features { base_impedance_ratio, structure, container, .. } = &profile.features;
+    let Features { base_impedance_ratio, downgoing_corner_hz, structure, container, .. } = &profile.features;
     let w_s = TAU * structure.frequency_hz;
     let (mut y, mut tau) = ([1.0, 0.0], [0.0, 0.0]);
     if structure.mass_kg_m2 > 0.0 {
@@ -18,7 +18,7 @@ fn exact(profile: &Profile, f_hz: f64) -> Complex {
         let t = div(link, [link[0] - w * w, link[1]]);
         tau = t.map(|x| -structure.mass_kg_m2 * w * w * x);
     }
-    let mut impedance = 0.0;
+    let (mut impedance, mut last) = (0.0, [0.0, 0.0]);
     for layer in &profile.layers {
         let rho = layer.density_kg_m3 + container.mass_kg_m2 / profile.depth_m();
         let g = layer.density_kg_m3 * layer.vs_m_s * layer.vs_m_s;
@@ -27,13 +27,27 @@ fn exact(profile: &Profile, f_hz: f64) -> Complex {
         let k = sqrt(div([rho * w * w, 0.0], g));
         let (c, s) = cos_sin(k.map(|x| x * layer.thickness_m));
         let gk = mul(g, k);
+        last = gk.map(|x| x / w);
         let (a, b) = (mul(c, y), div(mul(s, tau), gk));
         let (d, e) = (mul(mul(gk, s), y), mul(c, tau));
         y = [a[0] + b[0], a[1] + b[1]];
         tau = [e[0] - d[0], e[1] - d[1]];
     }
     let share = div(tau.map(|x| base_impedance_ratio * x), [0.0, w * impedance]);
-    div([1.0, 0.0], [y[0] + share[0], y[1] + share[1]])
+    let outcrop = [y[0] + share[0], y[1] + share[1]];
+    if *downgoing_corner_hz == 0.0 {
+        return div([1.0, 0.0], outcrop);
+    }
+    // Waves going up and down at the base, apart: their powers, and what of their product is coherent.
+    let stress = div(tau, mul([0.0, w], last));
+    let up = [0.5 * (y[0] + stress[0]), 0.5 * (y[1] + stress[1])];
+    let down = [y[0] - up[0], y[1] - up[1]];
+    let c = 1.0 / (1.0 + (f_hz / downgoing_corner_hz).powi(2));
+    let power =
+        up[0].hypot(up[1]).powi(2) + down[0].hypot(down[1]).powi(2) + 2.0 * c * (up[0] * down[0] + up[1] * down[1]);
+    let coherent = [up[0] + c * down[0], up[1] + c * down[1]];
+    let scale = power.sqrt() / coherent[0].hypot(coherent[1]);
+    div([1.0, 0.0], coherent.map(|x| x * scale))
 }
 
 /// Largest relative miss of the complex transfer function.
@@ -95,6 +109,24 @@ fn compliant_base_tends_to_the_rigid_one_and_converges_with_the_square_of_the_me
     let order = slope(&points);
     println!("spatial order {order:.3} from {points:?}");
     assert!((order - 2.0).abs() < 0.2);
+}
+
+#[test]
+fn a_sensor_below_sees_what_two_waves_of_less_coherence_leave() {
+    let of = |corner_hz: f64| Features { downgoing_corner_hz: corner_hz, ..Features::default() };
+    for corner_hz in [0.8, 2.0, 6.0] {
+        let found = miss(&column(100, of(corner_hz)), 0.001);
+        println!("corner {corner_hz} Hz: complex transfer function within {found:.2e}");
+        assert!(found < 1e-2, "{corner_hz}");
+    }
+    // Peaks are lower, and a motion of no frequency in particular passes.
+    let peak = |corner_hz: f64| {
+        let gain = |k: usize| exact(&column(10, of(corner_hz)), 0.05 * k as f64).into_iter().fold(0.0, f64::hypot);
+        (1..200).map(gain).fold(0.0, f64::max)
+    };
+    assert!(peak(1.0) < 0.5 * peak(0.0), "{} {}", peak(1.0), peak(0.0));
+    let near = miss(&column(100, of(1e4)), 0.001) - miss(&column(100, of(0.0)), 0.001);
+    assert!(near.abs() < 1e-4, "{near}");
 }
 
 #[test]

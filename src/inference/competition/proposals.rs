@@ -1,11 +1,11 @@
 //! Which candidates are worth a fit beside a model: each at every place, alone and in pairs, by the linear problem around that model.
 
-use super::{Competition, HEATS};
+use super::{Competition, HEATS, TOLD};
 use crate::effects::Instance;
 use crate::inference::algebra;
 use crate::inference::forward::{Forward, Prediction};
 use crate::inference::parameters::{Model, prior_of};
-use crate::inference::posterior::{Fit, Fitter, combined, gradient};
+use crate::inference::posterior::{Fit, Fitter, combined, gradient, square};
 use crate::inference::weights::Rows;
 use faer::Mat;
 use std::collections::BTreeMap;
@@ -18,6 +18,9 @@ const PLACES: usize = 3;
 pub(super) const NODES: [f64; 2] = [0.6, 1.8];
 /// The same for the slope at nothing: what is well told by the records may lack little, and is not linear up to a typical size.
 const SLIGHT: f64 = 0.05;
+/// How much stronger a candidate is tried that does nothing the records could tell, and how often: some need a motion of some strength.
+const STRONGER: f64 = 3.0;
+const STRONGER_TIMES: usize = 2;
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
 
@@ -110,7 +113,8 @@ impl<'a> Competition<'a> {
         // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
         // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
         // Further nodes are multiples of these, which come first.
-        let mut all: Vec<Direction> = along(Self::nodes(&smooth, NODES[usize::from(is_far)], is_far));
+        let nodes = Self::nodes(&smooth, NODES[usize::from(is_far)], is_far);
+        let mut all: Vec<Direction> = nodes.into_iter().filter_map(|n| Self::told(by, base, n)).collect();
         if !is_far {
             all.extend::<Vec<Direction>>(along(Self::nodes(&smooth, SLIGHT, false)));
             let further = self.further(by, base, &all);
@@ -137,6 +141,19 @@ impl<'a> Competition<'a> {
         let there = Self::predicted(by, base, &node)?;
         let change = combined(&by.rows(&there).0, &base.rows, 1.0, -1.0);
         Some(Direction { node, change })
+    }
+
+    /// [`Self::direction`] towards the node, or towards one so strong that the records tell what it does.
+    fn told(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
+        let mut found = Self::direction(by, base, node)?;
+        for _ in 0..STRONGER_TIMES {
+            if 0.5 * square(&found.change) > TOLD {
+                break;
+            }
+            let Some(stronger) = Self::direction(by, base, found.node.times(STRONGER)) else { break };
+            found = stronger;
+        }
+        Some(found)
     }
 
     /// A candidate that is either there or not, or that changes the records themselves.
@@ -167,11 +184,7 @@ impl<'a> Competition<'a> {
             let is_opposite = zero.iter().zip(toward).zip(&known.node.at).any(|((z, t), at)| (t - z) * (at - z) < 0.0);
             let strengths = if is_opposite { vec![-NODES[0], -NODES[1]] } else { vec![NODES[1]] };
             for strength in strengths {
-                let ratio = strength / NODES[0];
-                let at = zero.iter().zip(&known.node.at).map(|(z, at)| z + (at - z) * ratio);
-                let at = at.zip(instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                let distance = known.node.distance * ratio.abs();
-                nodes.push(Node { instance: instance.clone(), at, distance, is_one_sided: true });
+                nodes.push(Node { is_one_sided: true, ..known.node.times(strength / NODES[0]) });
             }
         }
         nodes
@@ -293,6 +306,16 @@ impl<'c, 'a> Linear<'c, 'a> {
             beside: self.base.x.iter().zip(moved).map(|(x, d)| x + d).collect(),
             log_posterior,
         }
+    }
+}
+
+impl Node {
+    /// The same so many times as far from nothing, as far as its range goes.
+    fn times(&self, ratio: f64) -> Self {
+        let zero = self.instance.zero().unwrap_or_default();
+        let at = zero.iter().zip(&self.at).map(|(z, at)| z + (at - z) * ratio);
+        let at = at.zip(self.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
+        Self { at, distance: self.distance * ratio.abs(), instance: self.instance.clone(), ..*self }
     }
 }
 

@@ -1,0 +1,95 @@
+//! The base below a column whose down-going wave has lost its coherence on the way: what a sensor there records is then not what shakes
+//! the column.
+
+use super::mesh::Mesh;
+use crate::numerics::spectrum;
+use realfft::num_complex::Complex;
+use std::f64::consts::TAU;
+
+type C64 = Complex<f64>;
+
+/// Frequencies to the fundamental one, and the highest, Hz, at which the motion of the base is computed; linear between, constant above.
+const A_MODE: f64 = 50.0;
+const HIGHEST_HZ: f64 = 50.0;
+
+/// The motion of the base over what is recorded there.
+///
+/// ```text
+/// U   = |√( (1 + C)/2 |u|² + (1 − C)/2 |w|² )| e^{iφ},   φ = arg( (1 + C)/2 u + (1 − C)/2 w )            (1)
+/// w   = τ / (i ω √(ρ G)),     u = u↑ + u↓,   w = u↑ − u↓,   C = 1 / (1 + (f/f_c)²)                       (2)
+/// ```
+///
+/// u and τ are displacement and shear stress at the base of the linear column under a motion of one at its surface, U what the sensor
+/// records, in power the sum of two waves with the coherence C, in phase its coherent part. With C = 1, U = u.
+///
+/// Limits: the column at small strains, where motions are strong too; mass-proportional damping, a structure and a compliant base are
+/// not in it.
+/// Check:  `a_sensor_below_sees_what_two_waves_of_less_coherence_leave`, `tests/verification/boundaries.rs`.
+/// Source: Steidl, Tumarkin and Archuleta (1996), What is a reference site?, BSSA 86, 1733–1748, for interference and coherence at depth;
+/// Tao and Rathje (2019) for columns that interfere more than the records of vertical arrays do.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Downgoing {
+    step_hz: f64,
+    base: Vec<C64>,
+}
+
+impl Downgoing {
+    /// That of a mesh for the coherence with the corner `corner_hz`.
+    pub(super) fn new(mesh: &Mesh, corner_hz: f64) -> Self {
+        let step_hz = mesh.frequency_hz / A_MODE;
+        let count = (HIGHEST_HZ / step_hz).ceil().max(1.0) as usize + 1;
+        let densities = densities(mesh);
+        let base = (0..count).map(|k| base(mesh, &densities, k as f64 * step_hz, corner_hz)).collect();
+        Self { step_hz, base }
+    }
+
+    /// u/U at `frequency_hz`.
+    pub fn at(&self, frequency_hz: f64) -> C64 {
+        let x = (frequency_hz / self.step_hz).clamp(0.0, (self.base.len() - 1) as f64);
+        let i = (x.floor() as usize).min(self.base.len() - 2);
+        self.base[i] + (self.base[i + 1] - self.base[i]) * (x - i as f64)
+    }
+
+    /// The acceleration of the base, in the unit of that which was `recorded` there every `dt_s`.
+    pub(super) fn base(&self, recorded: &[f64], dt_s: f64) -> Vec<f64> {
+        let [base] = spectrum::respond([recorded], dt_s, |f, [x]| [x * self.at(f)]);
+        base
+    }
+}
+
+/// Densities of the elements, surface down, kg/m³: that which moves horizontally, lumped by halves at the nodes.
+fn densities(mesh: &Mesh) -> Vec<f64> {
+    let mut half = 0.0;
+    let of = |(element, mass): (&super::mesh::Element, &[f64; 2])| {
+        half = mass[0] - half;
+        2.0 * half / element.height_m
+    };
+    mesh.elements.iter().zip(&mesh.mass).map(of).collect()
+}
+
+/// u/U of (1) at one frequency.
+fn base(mesh: &Mesh, densities: &[f64], frequency_hz: f64, corner_hz: f64) -> C64 {
+    let one = C64::new(1.0, 0.0);
+    if frequency_hz == 0.0 {
+        return one;
+    }
+    let omega = TAU * frequency_hz;
+    // Displacement, and stress over iω: both real where nothing is lost, up to a factor.
+    let (mut u, mut tau, mut impedance) = (one, C64::new(0.0, 0.0), one);
+    for (element, density) in mesh.elements.iter().zip(densities) {
+        let [re, im] = element.relaxation.map_or([1.0, 0.0], |r| r.modulus(frequency_hz));
+        let soil_pa = C64::new(re, im + omega * element.beta_s) * element.elastic_pa[0];
+        let modulus_pa = soil_pa + element.container_pa;
+        impedance = (modulus_pa * *density).sqrt();
+        let phase = modulus_pa.inv() * impedance * (omega * element.height_m);
+        let (sin, cos) = (phase.sin(), phase.cos());
+        // τ = G ∂u/∂z, z down: stress over ω here.
+        (u, tau) = (u * cos + tau * sin / impedance, tau * cos - u * sin * impedance);
+    }
+    let w = tau / (impedance * C64::i());
+    let coherence = 1.0 / (1.0 + (frequency_hz / corner_hz).powi(2));
+    let [alike, apart] = [0.5 * (1.0 + coherence), 0.5 * (1.0 - coherence)];
+    let power = alike * u.norm_sqr() + apart * w.norm_sqr();
+    let coherent = u * alike + w * apart;
+    u / C64::from_polar(power.sqrt(), coherent.arg()) // (1)
+}
