@@ -23,7 +23,7 @@ const HIGHEST_HZ: f64 = 50.0;
 /// records, in power the sum of two waves with the coherence C, in phase its coherent part. With C = 1, U = u.
 ///
 /// Limits: the column at small strains, where motions are strong too; mass-proportional damping, a structure and a compliant base are
-/// not in it.
+/// not in it. u/U is not causal: a record that begins with its event lacks what is before.
 /// Check:  `a_sensor_below_sees_what_two_waves_of_less_coherence_leave`, `tests/verification/boundaries.rs`.
 /// Source: Steidl, Tumarkin and Archuleta (1996), What is a reference site?, BSSA 86, 1733–1748, for interference and coherence at depth;
 /// Tao and Rathje (2019) for columns that interfere more than the records of vertical arrays do.
