@@ -1,7 +1,7 @@
 //! The base below a column whose down-going wave has lost its coherence on the way: what a sensor there records is then not what shakes
 //! the column.
 
-use super::mesh::Mesh;
+use super::mesh::{Element, Mesh};
 use crate::numerics::spectrum;
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
@@ -15,7 +15,7 @@ const HIGHEST_HZ: f64 = 50.0;
 /// The motion of the base over what is recorded there.
 ///
 /// ```text
-/// U   = |√( (1 + C)/2 |u|² + (1 − C)/2 |w|² )| e^{iφ},   φ = arg( (1 + C)/2 u + (1 − C)/2 w )            (1)
+/// U   = √( (1 + C)/2 |u|² + (1 − C)/2 |w|² ) e^{iφ},    φ = arg( (1 + C)/2 u + (1 − C)/2 w )            (1)
 /// w   = τ / (i ω √(ρ G)),     u = u↑ + u↓,   w = u↑ − u↓,   C = 1 / (1 + (f/f_c)²)                       (2)
 /// ```
 ///
@@ -60,7 +60,7 @@ impl Downgoing {
 /// Densities of the elements, surface down, kg/m³: that which moves horizontally, lumped by halves at the nodes.
 fn densities(mesh: &Mesh) -> Vec<f64> {
     let mut half = 0.0;
-    let of = |(element, mass): (&super::mesh::Element, &[f64; 2])| {
+    let of = |(element, mass): (&Element, &[f64; 2])| {
         half = mass[0] - half;
         2.0 * half / element.height_m
     };
@@ -74,7 +74,7 @@ fn base(mesh: &Mesh, densities: &[f64], frequency_hz: f64, corner_hz: f64) -> C6
         return one;
     }
     let omega = TAU * frequency_hz;
-    // Displacement, and stress over iω: both real where nothing is lost, up to a factor.
+    // Displacement, and stress over ω: both real where nothing is lost.
     let (mut u, mut tau, mut impedance) = (one, C64::new(0.0, 0.0), one);
     for (element, density) in mesh.elements.iter().zip(densities) {
         let [re, im] = element.relaxation.map_or([1.0, 0.0], |r| r.modulus(frequency_hz));
@@ -83,7 +83,7 @@ fn base(mesh: &Mesh, densities: &[f64], frequency_hz: f64, corner_hz: f64) -> C6
         impedance = (modulus_pa * *density).sqrt();
         let phase = modulus_pa.inv() * impedance * (omega * element.height_m);
         let (sin, cos) = (phase.sin(), phase.cos());
-        // τ = G ∂u/∂z, z down: stress over ω here.
+        // τ = G ∂u/∂z, z down.
         (u, tau) = (u * cos + tau * sin / impedance, tau * cos - u * sin * impedance);
     }
     let w = tau / (impedance * C64::i());

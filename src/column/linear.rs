@@ -3,6 +3,7 @@
 use super::{Column, Downgoing, Structure};
 use crate::soil::{Law, Relaxation};
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 /// One element before shaking.
 #[derive(Clone, Copy)]
@@ -78,8 +79,8 @@ impl Column {
     }
 
     /// The motion of the base over what is recorded there, where that is another one.
-    pub fn downgoing(&self) -> Option<&Downgoing> {
-        self.downgoing.as_ref()
+    pub fn downgoing(&self) -> Option<Arc<Downgoing>> {
+        self.downgoing.clone()
     }
 
     /// The structure on the surface.

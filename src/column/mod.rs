@@ -53,12 +53,13 @@ pub use run::{BaseMotion, Frame, RunSummary};
 
 use crate::error::Result;
 use mesh::Mesh;
+use std::sync::Arc;
 
 /// A column ready to be shaken; one value serves all threads.
 pub struct Column {
     mesh: Mesh,
     analysis: Analysis,
-    downgoing: Option<Downgoing>,
+    downgoing: Option<Arc<Downgoing>>,
 }
 
 impl Column {
@@ -77,7 +78,7 @@ impl Column {
             return Err(crate::error::Error::new(problems.join("\n")).usage());
         }
         let (mesh, corner_hz) = (Mesh::new(profile)?, profile.features.downgoing_corner_hz);
-        let downgoing = (corner_hz > 0.0 && corner_hz.is_finite()).then(|| Downgoing::new(&mesh, corner_hz));
+        let downgoing = (corner_hz > 0.0 && corner_hz.is_finite()).then(|| Arc::new(Downgoing::new(&mesh, corner_hz)));
         Ok(Self { mesh, analysis: analysis.clone(), downgoing })
     }
 

@@ -4,6 +4,7 @@ use super::step::{Cut, Stepper};
 use super::{Analysis, Cause, Column, Downgoing, Failure, batch};
 use crate::error::Result;
 use crate::numerics::lanes::Width;
+use std::sync::Arc;
 
 /// What the column shows at one output time.
 #[derive(Debug, Clone, Copy)]
@@ -83,7 +84,7 @@ pub(super) struct Input<'m> {
 impl<'m> Input<'m> {
     pub fn new(column: &Column, recorded: BaseMotion<'m>) -> Self {
         let is_sound = !recorded.acceleration_m_s2.is_empty() && recorded.dt_s > 0.0;
-        let of = |d: &Downgoing| d.base(recorded.acceleration_m_s2, recorded.dt_s);
+        let of = |d: &Arc<Downgoing>| d.base(recorded.acceleration_m_s2, recorded.dt_s);
         Self { recorded, base_m_s2: column.downgoing.as_ref().filter(|_| is_sound).map(of) }
     }
 

@@ -8,6 +8,7 @@ use crate::error::Result;
 use crate::soil::{N_BODY, Point, Rate, Relaxation, Softening, bodies};
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -41,7 +42,7 @@ pub struct FastColumn {
     mass: Vec<f64>,
     damping: Vec<f64>,
     structure: Structure,
-    downgoing: Option<Downgoing>,
+    downgoing: Option<Arc<Downgoing>>,
     depth_m: f64,
     travel_s: f64,
     is_dispersive: bool,
@@ -139,7 +140,7 @@ impl FastColumn {
             mass: column.node_mass_kg_m2(),
             damping: column.node_damping_kg_m2_s(),
             structure: column.structure(),
-            downgoing: column.downgoing().cloned(),
+            downgoing: column.downgoing(),
             depth_m: coarse.depth_m(),
             travel_s: coarse.travel_time_s(),
             is_dispersive: true,
@@ -423,7 +424,7 @@ pub struct March {
     grid: Grid,
     is_damped: bool,
     is_compliant: bool,
-    downgoing: Option<Downgoing>,
+    downgoing: Option<Arc<Downgoing>>,
     /// U_h and U_p at the base; their tractions below the base node where it is compliant.
     base: [Vec<C64>; 2],
     /// U_h and U_p at each sensor.

@@ -34,6 +34,8 @@ const PARAMETERS: &[Parameter] = &[Parameter {
     is_signed: true,
 }];
 
+/// Largest ln of a factor that a table may have.
+pub const LAYER_VELOCITY_LN: f64 = 1.5;
 /// Velocities of one group of layers differ by this factor from its first one's at most, in ln.
 const ALIKE_LN: f64 = 0.25;
 /// Groups that waves cross in a smaller share of the whole travel time are no places of their own.
@@ -121,7 +123,7 @@ struct LayerVelocity {
 
 impl LayerVelocity {
     fn checked(self) -> Result<Self> {
-        super::ranges(&[("ln_factor", self.ln_factor, -1.5, 1.5, "")])?;
+        super::ranges(&[("ln_factor", self.ln_factor, -LAYER_VELOCITY_LN, LAYER_VELOCITY_LN, "")])?;
         super::depth_range(self.top_m, self.bottom_m)?;
         Ok(self)
     }

@@ -4,6 +4,7 @@ use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, S
 use crate::column::Profile;
 use crate::error::Result;
 use crate::registry;
+use crate::soil::CAM_CLAY_M;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -100,7 +101,7 @@ impl Effect for Nonlinearity {
                 "sanisand" => layers::scale(layer, "h_0", 6.0, factor),
                 "cam_clay" => {
                     let m = layers::number(layer, "m", 1.2);
-                    layers::set(layer, "m", (factor * m).clamp(0.3, 2.5));
+                    layers::set(layer, "m", (factor * m).clamp(CAM_CLAY_M[0], CAM_CLAY_M[1]));
                 }
                 "mohr_coulomb" => {
                     layers::scale(layer, "cohesion_kpa", 1.0, factor);

@@ -106,8 +106,7 @@ impl<'a> Answer<'_, 'a> {
         let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
         let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
-        let has_unnamed = |fit: &Fit<'a>| fit.model.effects.iter().any(|e| !e.is_named());
-        let unnamed = self.probabilities().filter(|(fit, _)| has_unnamed(fit)).map(|(_, p)| p).sum::<f64>();
+        let unnamed = self.probabilities().filter(|(fit, _)| !fit.model.is_named()).map(|(_, p)| p).sum::<f64>();
         let is_unnamed = unnamed > 0.5;
         let mut rest = self.rest(answer, is_unnamed);
         let verdict = match (sure, rest.verdict) {
@@ -344,9 +343,13 @@ fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
 ///
 /// Source: Barbieri & Berger (2004), doi 10.1214/009053604000000238, for models of what is probable by itself.
 fn known_kinds(mass: &BTreeMap<Vec<&'static str>, f64>) -> Vec<&'static str> {
-    let all: BTreeSet<&'static str> = mass.keys().flatten().copied().collect();
     let is_known = |kind: &str, n: usize| probability_of(mass, kind, n) >= KNOWN;
-    all.into_iter().flat_map(|kind| (1..).take_while(move |n| is_known(kind, *n)).map(move |_| kind)).collect()
+    all_kinds(mass).flat_map(|kind| (1..).take_while(move |n| is_known(kind, *n)).map(move |_| kind)).collect()
+}
+
+/// Kinds of all sets, each once.
+fn all_kinds(mass: &BTreeMap<Vec<&'static str>, f64>) -> impl Iterator<Item = &'static str> {
+    mass.keys().flatten().copied().collect::<BTreeSet<_>>().into_iter()
 }
 
 /// Probability that an effect of `kind` is there at least `n` times.
@@ -357,13 +360,12 @@ fn probability_of(mass: &BTreeMap<Vec<&'static str>, f64>, kind: &str, n: usize)
 
 /// Kinds that may be there besides the `known` ones, and may not, in a sentence.
 fn besides(mass: &BTreeMap<Vec<&'static str>, f64>, known: &[&'static str]) -> Option<String> {
-    let all: BTreeSet<&'static str> = mass.keys().flatten().copied().collect();
-    let open = |kind: &&str| {
-        let n = 1 + known.iter().filter(|k| *k == kind).count();
+    let open = |kind: &'static str| {
+        let n = 1 + known.iter().filter(|k| **k == kind).count();
         let probability = probability_of(mass, kind, n);
         (probability > NOTHING).then(|| format!("{} ({probability:.2})", kind.replace('_', " ")))
     };
-    let named: Vec<String> = all.iter().filter_map(open).collect();
+    let named: Vec<String> = all_kinds(mass).filter_map(open).collect();
     (!named.is_empty())
         .then(|| format!("Besides, and not named because not probable enough (probability): {}.", named.join(", ")))
 }

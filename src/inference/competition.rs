@@ -96,7 +96,7 @@ impl<'a> Competition<'a> {
 
     /// What a model predicts by its named effects alone.
     pub fn named(&self, fit: &Fit<'a>) -> Arc<Prediction> {
-        if fit.model.effects.iter().all(Instance::is_named) {
+        if fit.model.is_named() {
             return fit.prediction.clone();
         }
         let n = fit.model.declared.len();
@@ -135,14 +135,12 @@ impl<'a> Competition<'a> {
             self.renew_spread(progress)?;
             // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what
             // they would explain.
-            let named = self.best_of(|fit| fit.model.effects.iter().all(Instance::is_named)).unwrap_or(&self.fits[0]);
+            let named = self.best_of(|fit| fit.model.is_named()).unwrap_or(&self.fits[0]);
             let best = named.model.effects.clone();
             let without = |i: usize| [&best[..i], &best[i + 1..]].concat();
             // What is simpler first: it may do as well.
             let open = (0..best.len()).map(without).chain([best.clone()]);
-            let is_open = |set: &Vec<Instance>| {
-                set.len() <= self.max_effects && !self.expanded.iter().any(|e| is_same_set(e, set))
-            };
+            let is_open = |set: &Vec<Instance>| !self.expanded.iter().any(|e| is_same_set(e, set));
             let Some(next) = open.into_iter().find(is_open) else { break };
             self.expand(next, progress)?;
         }
@@ -320,7 +318,7 @@ impl<'a> Competition<'a> {
 
     /// The best first fit of what has no name beside `base`: a response of one sensor, or of each.
     fn unnamed(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Option<Fit<'a>> {
-        if base.model.effects.iter().any(|e| !e.is_named()) {
+        if !base.model.is_named() {
             return None;
         }
         let all = effects::unnamed(&by.forward.problem.array);

@@ -15,7 +15,7 @@
 use super::convention::Slope;
 use crate::column::{Analysis, Column, Profile, Rayleigh};
 use crate::diagnosis::{Problem, ranges};
-use crate::effects::{self, Array, Free, Instance};
+use crate::effects::{self, Array, Free, Instance, LAYER_VELOCITY_LN};
 use crate::error::{Error, Result};
 use faer::{Mat, Side};
 use std::f64::consts::TAU;
@@ -196,7 +196,7 @@ impl Declared {
                 table.insert("top_m".into(), pair[0].into());
                 table.insert("bottom_m".into(), pair[1].into());
                 // The range of the effect; velocities beyond it are no tolerance.
-                table.insert("ln_factor".into(), ln.clamp(-1.5, 1.5).into());
+                table.insert("ln_factor".into(), ln.clamp(-LAYER_VELOCITY_LN, LAYER_VELOCITY_LN).into());
                 table
             })
             .collect();
@@ -274,6 +274,11 @@ impl<'a> Model<'a> {
     /// First coordinate of effect `index`.
     pub fn start(&self, index: usize) -> usize {
         self.declared.len() + self.effects[..index].iter().map(|e| e.free.len()).sum::<usize>()
+    }
+
+    /// Whether every effect has a name.
+    pub fn is_named(&self) -> bool {
+        self.effects.iter().all(Instance::is_named)
     }
 
     fn free(&self) -> impl Iterator<Item = &Free> {

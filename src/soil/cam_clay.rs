@@ -7,6 +7,9 @@ use crate::units::{GPA, KPA};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// Least and largest slope M of the critical state.
+pub const CAM_CLAY_M: [f64; 2] = [0.3, 2.5];
+
 pub(super) const ENTRY: Entry<dyn Law> = Entry {
     name: "cam_clay",
     about: "Modified Cam-Clay, logarithmic elasticity, exponential hardening, G = ρVs²",
@@ -15,7 +18,7 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
         Ranges::new()
             .check("lambda", law.lambda, 1e-3, 2.0)
             .check("kappa", law.kappa, 1e-4, 0.99 * law.lambda)
-            .check("m", law.m, 0.3, 2.5)
+            .check("m", law.m, CAM_CLAY_M[0], CAM_CLAY_M[1])
             .check("e0", law.e0, 0.1, 10.0)
             .check("ocr", law.ocr, 1.0, 50.0)
             .check("p_c0_kpa", law.p_c0_kpa.unwrap_or(1.0), 1e-3, 1e5)

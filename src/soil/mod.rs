@@ -22,6 +22,7 @@ mod softening;
 mod viscoelastic;
 
 pub use batch::{Batch, Shear, Steps};
+pub use cam_clay::CAM_CLAY_M;
 pub use rate::Rate;
 pub use relaxation::{Damping, N_BODY, REFERENCE_HZ, Relaxation, bodies, relaxations};
 pub use scaled::{Scaled, Scaling};
