@@ -247,6 +247,17 @@ impl Instance {
         self.free.iter().any(|f| f.zero.is_some()).then(|| self.free.iter().map(zero).collect())
     }
 
+    /// Numbers that it takes from each record that carries it, besides its parameters.
+    pub fn hidden(&self) -> usize {
+        super::build(&self.at(&self.start())).map_or(0, |effect| effect.hidden())
+    }
+
+    /// Index of the free parameter that is the frequency of a line: its phase is taken from each record.
+    pub fn line(&self) -> Option<usize> {
+        let is_frequency = |f: &Free| f.zero.is_none() && f.parameter.unit == "Hz";
+        self.free.iter().position(is_frequency).filter(|_| self.hidden() > 0)
+    }
+
     /// Smallest and largest coordinate of each free parameter.
     pub fn bounds(&self) -> Vec<[f64; 2]> {
         self.free.iter().map(|f| f.parameter.bounds()).collect()

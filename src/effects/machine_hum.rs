@@ -119,6 +119,11 @@ impl Effect for MachineHum {
         let phase = || line_phase(channel.acceleration_m_s2, self.frequency_hz, channel.dt_s);
         self.acts_on(channel).then(|| self.sine(channel, phase()))
     }
+
+    /// The phase.
+    fn hidden(&self) -> usize {
+        1
+    }
 }
 
 /// How far around a sample its power is taken, s.

@@ -103,6 +103,11 @@ pub trait Effect: Send + Sync {
     fn estimated_interference(&self, _channel: &Channel<'_>) -> Option<Vec<f64>> {
         None
     }
+
+    /// Numbers that it takes from each record that carries it, besides its parameters.
+    fn hidden(&self) -> usize {
+        0
+    }
 }
 
 /// One history of one sensor.

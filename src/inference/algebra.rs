@@ -47,6 +47,71 @@ pub fn without(g: &Mat<f64>, gone: &[usize], precision: &[f64]) -> Option<Mat<f6
     marginal(&Mat::from_fn(n, n, |i, j| g[(kept[i], kept[j])]), &cross, &inner)
 }
 
+/// gᵀ d − ½ dᵀ A d within bounds of d.
+pub struct Quadratic {
+    /// A, symmetric positive definite.
+    pub a: Mat<f64>,
+    /// g.
+    pub gradient: Vec<f64>,
+    /// Smallest and largest value of each unknown, nothing between them.
+    pub bounds: Vec<[f64; 2]>,
+    /// A size of each unknown.
+    pub size: Vec<f64>,
+}
+
+impl Quadratic {
+    /// That of some of its unknowns where the others are nothing.
+    pub fn of(&self, unknowns: &[usize]) -> Self {
+        Self {
+            a: Mat::from_fn(unknowns.len(), unknowns.len(), |i, j| self.a[(unknowns[i], unknowns[j])]),
+            gradient: unknowns.iter().map(|i| self.gradient[*i]).collect(),
+            bounds: unknowns.iter().map(|i| self.bounds[*i]).collect(),
+            size: unknowns.iter().map(|i| self.size[*i]).collect(),
+        }
+    }
+
+    /// Where it is highest with no unknown farther than `radius` of its sizes, and its value there; an unknown that would pass its bound
+    /// stands there, and the others give way to that. `None` where A is not positive definite.
+    pub fn highest(&self, radius: f64) -> Option<(Vec<f64>, f64)> {
+        let n = self.gradient.len();
+        let mut d = vec![0.0; n];
+        let mut free: Vec<usize> = (0..n).collect();
+        while !free.is_empty() {
+            let m = free.len();
+            let held = |i: &usize| (0..n).filter(|j| !free.contains(j)).map(|j| self.a[(*i, j)] * d[j]).sum::<f64>();
+            let side: Vec<f64> = free.iter().map(|i| self.gradient[*i] - held(i)).collect();
+            let damped = |lambda: f64| {
+                let more = |i: usize| lambda / self.size[free[i]].powi(2);
+                let own = |i, j| self.a[(free[i], free[j])] + if i == j { more(i) } else { 0.0 };
+                solved(&Mat::from_fn(m, m, own), &side)
+            };
+            let length = |s: &[f64]| s.iter().zip(&free).map(|(s, i)| (s / self.size[*i]).abs()).fold(0.0, f64::max);
+            let mut lambda = 0.0;
+            let mut found = damped(lambda);
+            for _ in 0..40 {
+                if found.as_ref().is_some_and(|s| length(s) <= radius) {
+                    break;
+                }
+                lambda = if lambda == 0.0 { 1.0 } else { 2.0 * lambda };
+                found = damped(lambda);
+            }
+            free.iter().zip(found?).for_each(|(i, s)| d[*i] = s);
+            // The one that passes its bound by most is held there.
+            let within = |i: usize| d[i].clamp(self.bounds[i][0], self.bounds[i][1]);
+            let beyond = |i: &usize| (d[*i] - within(*i)).abs() / self.size[*i];
+            let Some(farthest) = free.iter().copied().max_by(|a, b| beyond(a).total_cmp(&beyond(b))) else { break };
+            if beyond(&farthest) == 0.0 {
+                break;
+            }
+            d[farthest] = within(farthest);
+            free.retain(|i| *i != farthest);
+        }
+        let linear: f64 = d.iter().zip(&self.gradient).map(|(d, g)| d * g).sum();
+        let square: f64 = (0..n).map(|i| d[i] * (0..n).map(|j| self.a[(i, j)] * d[j]).sum::<f64>()).sum();
+        Some((d, linear - 0.5 * square))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

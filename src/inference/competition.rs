@@ -83,13 +83,14 @@ impl<'a> Competition<'a> {
         fit.log_evidence() + fit.model.effects.iter().map(|e| self.prior_of(e)).sum::<f64>()
     }
 
-    /// ln of the prior of an effect; one that is estimated record by record has two numbers more in each.
+    /// ln of the prior of an effect; each number that it takes from a record is one more that is fitted to it (Schwarz, 1978,
+    /// doi 10.1214/aos/1176344136).
     fn prior_of(&self, instance: &Instance) -> f64 {
-        let records = &self.fitter.forward.records;
-        let hidden = if Forward::is_interference(instance) {
-            records.iter().map(|at| (self.fitter.forward.frequencies_hz(*at).len() as f64).ln()).sum()
-        } else {
-            0.0
+        let forward = self.fitter.forward;
+        let values = forward.records.iter().map(|at| 2.0 * forward.frequencies_hz(*at).len() as f64);
+        let hidden = match instance.hidden() {
+            0 => 0.0,
+            count => count as f64 * values.map(|n| 0.5 * n.ln()).sum::<f64>(),
         };
         self.ln_place.get(instance.kind).copied().unwrap_or(-10.0) + ONE_MORE.ln() - hidden
     }
@@ -252,7 +253,7 @@ impl<'a> Competition<'a> {
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
         let is_open = start.model.effects.len() < self.max_effects;
-        let mut heats = if is_open { self.heats(&by, &by, &start, &start, false) } else { Vec::new() };
+        let mut heats = self.heats(&by, &by, &start, &start, false);
         heats.extend(self.unnamed(&by, &start));
         if is_open && base.is_strained() {
             // Far from what the records say only the lowest modes tell where to go.
@@ -264,8 +265,18 @@ impl<'a> Competition<'a> {
         let is_new = |finals: &[Fit<'a>], heat: &Fit<'a>| {
             !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
         };
-        for heat in &heats {
+        // What could stand in the place of an effect is a rival wherever it is nearly as probable.
+        let least = self.log_posterior(&start) - COUNTS;
+        let (instead, more): (Vec<_>, Vec<_>) =
+            heats.iter().partition(|heat| heat.model.effects.len() == start.model.effects.len());
+        let rivals = instead.into_iter().filter(|heat| self.log_posterior(heat) > least);
+        for heat in more {
             if finals.len() < FINALS && is_new(&finals, heat) {
+                finals.push(heat.clone());
+            }
+        }
+        for heat in rivals {
+            if is_new(&finals, heat) {
                 finals.push(heat.clone());
             }
         }
@@ -299,21 +310,18 @@ impl<'a> Competition<'a> {
     ) -> Vec<Fit<'a>> {
         let mut proposals = self.proposals(by, point, is_far);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
-        // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
-        // comes on top of a pair is sought when one of the two is in the model.
-        let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
+        // A pair that holds what a single one holds is always as good before it is fitted, and what takes the place of an effect is as good
+        // as that at best. Where tolerances stand in for something, what comes on top of a pair is sought when one of the two is in the
+        // model.
+        let (instead, more): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.instead_of.is_some());
+        let (singles, pairs): (Vec<_>, Vec<_>) = more.into_iter().partition(|p| p.parts.len() == 1);
         let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs) };
         let fitted = |set: Proposal| {
-            let mut effects = base.model.effects.clone();
-            effects.extend(set.parts.iter().map(|part| part.instance.clone()));
-            let model = Model { declared: base.model.declared, effects };
-            let x = Self::started(by, point, &model, &set);
-            let slopes = point.slopes.iter().cloned().map(Some).chain(set.parts.into_iter().flat_map(|p| p.slopes));
-            let start = Start { slopes: slopes.collect(), ..Start::at(model, x) };
+            let start = Self::started(by, point, set);
             let found = if is_far { fitter.fit_from_afar(start, FAR_HEAT) } else { fitter.fit(start, HEAT) };
             found.ok()
         };
-        distinct(singles).into_iter().chain(pairs).filter_map(fitted).collect()
+        distinct(singles).into_iter().chain(pairs).chain(distinct(instead)).filter_map(fitted).collect()
     }
 
     /// The best first fit of what has no name beside `base`: a response of one sensor, or of each.

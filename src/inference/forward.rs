@@ -9,7 +9,7 @@
 
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
-use crate::effects::{self, Channel, Effect, Instance, Operator, Place};
+use crate::effects::{self, Channel, Effect, Operator, Place};
 use crate::error::{Error, Result};
 use crate::numerics::spectrum;
 use realfft::num_complex::Complex;
@@ -341,11 +341,6 @@ impl<'a> Forward<'a> {
         let factor = |f: f64| arriving.iter().filter_map(|e| e.arrival(depth_m, f)).sum::<C64>();
         let [arrived] = spectrum::respond([event.input.as_slice()], event.dt_s, |f, [u]| [u * factor(f)]);
         self.bins(at, &arrived)
-    }
-
-    /// Whether a candidate's measured data differ from the plain ones: nothing linear says what it does.
-    pub fn is_interference(instance: &Instance) -> bool {
-        matches!(instance.kind, "machine_hum" | "baseline_tilt")
     }
 }
 

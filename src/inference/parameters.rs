@@ -17,8 +17,10 @@ use crate::column::{Analysis, Column, Profile, Rayleigh};
 use crate::diagnosis::{Problem, ranges};
 use crate::effects::{self, Array, Free, Instance, LAYER_VELOCITY_LN};
 use crate::error::{Error, Result};
+use crate::manifest::Tolerances;
 use faer::{Mat, Side};
 use std::f64::consts::TAU;
+use std::ops::Range;
 use toml::Table;
 
 /// Prior standard deviation of the ln of a reference strain.
@@ -48,8 +50,8 @@ const LEFT_LN: f64 = -2.0;
 const SHIFT_LN: f64 = 0.5;
 /// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
 const MODES: [usize; 2] = [9, 3];
-/// Farthest that a declared value is within its tolerance, standard deviations: what is farther off is an effect.
-const FARTHEST: f64 = 2.5;
+/// Farthest that a declared value is within its tolerance, standard deviations.
+const FARTHEST: f64 = Tolerances::FARTHEST;
 /// Step of a finite difference, prior standard deviations: records tell some coordinates to a hundredth of them, and replays are smooth to
 /// less.
 const STEP: f64 = 0.02;
@@ -119,6 +121,8 @@ pub struct Declared {
     pub others: Vec<Tolerance>,
     /// What other programs make of the same column, at one prior standard deviation: coordinates that no effect stands for.
     pub conventions: Vec<Slope>,
+    /// How far apart the longest record tells frequencies, Hz.
+    resolution_hz: f64,
     input: String,
 }
 
@@ -157,7 +161,9 @@ impl Declared {
             effect.is_ok_and(|e| e.refusal(&array.profile).is_none())
         };
         others.retain(|o| o.deviation > 0.0 && acts(o));
-        Ok(Self { cuts_m, modes, others, conventions: Vec::new(), input: array.input.clone() })
+        let longest_s = problem.events.iter().map(|e| e.dt_s * e.input.len() as f64).fold(f64::MIN_POSITIVE, f64::max);
+        let resolution_hz = 1.0 / longest_s;
+        Ok(Self { cuts_m, modes, others, conventions: Vec::new(), resolution_hz, input: array.input.clone() })
     }
 
     /// The same, and what other programs make of the column.
@@ -276,6 +282,12 @@ impl<'a> Model<'a> {
         self.declared.len() + self.effects[..index].iter().map(|e| e.free.len()).sum::<usize>()
     }
 
+    /// Coordinates of effect `index`.
+    pub fn coordinates_of(&self, index: usize) -> Range<usize> {
+        let start = self.start(index);
+        start..start + self.effects[index].free.len()
+    }
+
     /// Whether every effect has a name.
     pub fn is_named(&self) -> bool {
         self.effects.iter().all(Instance::is_named)
@@ -344,9 +356,11 @@ impl<'a> Model<'a> {
 
     /// Step of a finite difference in coordinate `i` at `x`, away from the nearer bound.
     pub fn step(&self, x: &[f64], i: usize) -> f64 {
-        let [_, deviation] = self.prior()[i];
         let [low, high] = self.bounds()[i];
-        let size = STEP * deviation;
+        // The phase of a line turns within the resolution of the records.
+        let lines = self.effects.iter().enumerate().filter_map(|(e, effect)| Some(self.start(e) + effect.line()?));
+        let is_line = lines.into_iter().any(|line| line == i);
+        let size = STEP * if is_line { self.declared.resolution_hz } else { self.prior()[i][1] };
         let toward = if high - x[i] >= x[i] - low { 1.0 } else { -1.0 };
         toward * size.min(0.5 * (high - low))
     }

@@ -2,14 +2,13 @@
 
 mod slopes;
 
-use super::algebra::{inverse, ln_determinant, solved};
+use super::algebra::{Quadratic, inverse, ln_determinant, solved};
 use super::convention;
 use super::forward::{Forward, Prediction, channels, lock};
 use super::parameters::Model;
 use super::weights::{self, Rows, Spread, Weights, band_hz};
 use crate::error::Result;
-use faer::linalg::solvers::Solve;
-use faer::{Mat, Side};
+use faer::Mat;
 use rayon::prelude::*;
 use slopes::Axes;
 use std::collections::HashMap;
@@ -23,8 +22,10 @@ const CONVERGED: f64 = 0.2;
 const STILL: f64 = 0.5;
 /// Most times that slopes are taken anew at one place.
 const RENEWALS: usize = 4;
-/// Share of the expected gain that a step must bring for its slopes to be trusted again, and to be taken at all.
-const TRUSTED: [f64; 2] = [0.3, 0.02];
+/// Share of the expected gain that a step must bring to be taken.
+const TAKEN: f64 = 0.02;
+/// Shares of the expected gain between which a step bears out the slopes that foretold it.
+const TRUSTED: [f64; 2] = [0.3, 2.0];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
 const RADIUS: [f64; 3] = [1.0, 4.0, 0.002];
 /// Highest frequency of the first of a series of fits, in fundamental frequencies of the column.
@@ -240,6 +241,7 @@ impl<'a> Fitter<'a> {
             axes.as_ref().filter(|_| known.is_empty()).and_then(|axes| self.slopes_along(&model, &at, axes, None));
         let mut slopes = taken.unwrap_or_else(|| self.slopes(&model, &at, &known));
         let mut is_fresh = axes.is_some();
+        let mut is_carried = !known.is_empty();
         let mut renewals = 0;
         let mut radius = RADIUS[0];
         for _ in 0..stop.steps {
@@ -257,29 +259,33 @@ impl<'a> Fitter<'a> {
             if let Some(found) = &found {
                 Self::learn(&model, &mut slopes, [&at, found]);
             }
+            // Slopes that were carried here and foretold something else are blamed before the length of the step is.
+            let is_doubtful = is_carried && !(TRUSTED[0]..TRUSTED[1]).contains(&ratio);
             radius = match ratio {
-                _ if has_converged => radius.max(JITTER),
+                _ if has_converged || is_doubtful => radius.max(JITTER),
                 r if r > 0.75 => (2.0 * radius).min(RADIUS[1]),
                 r if r < TRUSTED[0] => 0.35 * radius,
                 _ => radius,
             };
+            let mut is_due = is_doubtful || has_converged;
             match found {
-                Some(found) if ratio > TRUSTED[1] => {
+                Some(found) if ratio > TAKEN => {
                     at = found;
                     let known: Vec<Option<Arc<Rows>>> = slopes.into_iter().map(Some).collect();
                     slopes = self.slopes(&model, &at, &known);
-                    (is_fresh, axes, renewals) = (false, None, 0);
+                    (is_fresh, is_carried, axes, renewals) = (false, true, None, 0);
                 }
-                _ if !is_fresh => {
-                    axes = self.principal(&model, &at, &slopes);
-                    let taken = axes.as_ref().and_then(|axes| self.slopes_along(&model, &at, axes, Some(&slopes)));
-                    let taken = taken.unwrap_or_else(|| self.slopes(&model, &at, &[]));
-                    let evidence = |slopes: &[Arc<Rows>]| occam(&model, &at.x, &self.normal(slopes, &at.rows));
-                    renewals += 1;
-                    is_fresh = (evidence(&taken) - evidence(&slopes)).abs() < STILL || renewals == RENEWALS;
-                    slopes = taken;
-                }
-                _ => {}
+                _ => is_due |= !is_fresh,
+            }
+            if is_due {
+                axes = self.principal(&model, &at, &slopes);
+                let taken = axes.as_ref().and_then(|axes| self.slopes_along(&model, &at, axes, Some(&slopes)));
+                let taken = taken.unwrap_or_else(|| self.slopes(&model, &at, &[]));
+                let evidence = |slopes: &[Arc<Rows>]| occam(&model, &at.x, &self.normal(slopes, &at.rows));
+                renewals += 1;
+                is_fresh = (evidence(&taken) - evidence(&slopes)).abs() < STILL || renewals == RENEWALS;
+                slopes = taken;
+                is_carried = false;
             }
         }
         let g = self.normal(&slopes, &at.rows);
@@ -294,12 +300,6 @@ impl Fit<'_> {
     /// Whether declared values are as far off as their tolerances allow: they stand in for an effect.
     pub fn is_strained(&self) -> bool {
         (0..self.x.len()).any(|i| self.model.is_strained(&self.x, i))
-    }
-
-    /// Coordinates that the right-hand side of `g`, that of other equations where the fit is, pushes against an end of their range.
-    pub fn pushed(&self, g: &Mat<f64>) -> Vec<usize> {
-        let slopes = gradient(&self.model, &self.x, g);
-        (0..self.x.len()).filter(|i| is_pushed(&self.model, &self.x, *i, slopes[*i])).collect()
     }
 
     /// Posterior covariance of the coordinates by the curvature of the cost.
@@ -366,55 +366,17 @@ pub fn gradient(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> Vec<f64> {
     model.prior().iter().zip(x).enumerate().map(|(i, ([mean, sd], x))| g[(i, side)] - (x - mean) / sd.powi(2)).collect()
 }
 
-/// The step from `x` within `radius` prior standard deviations and the bounds, and what it is expected to gain. A coordinate that would
-/// pass its bound stands there, and the others give way to that.
+/// The step from `x` within `radius` prior standard deviations and the bounds, and what it is expected to gain.
 fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f64) {
-    let (prior, bounds, n) = (model.prior(), model.bounds(), x.len());
-    let a = information(model, g);
-    let gradient = gradient(model, x, g);
-    let mut dx = vec![0.0; n];
-    let mut free: Vec<usize> = (0..n).collect();
-    while !free.is_empty() {
-        let m = free.len();
-        let side: Vec<f64> = free
-            .iter()
-            .map(|i| gradient[*i] - (0..n).filter(|j| !free.contains(j)).map(|j| a[(*i, j)] * dx[j]).sum::<f64>())
-            .collect();
-        // A trust region in prior standard deviations.
-        let damped = |lambda: f64| {
-            let own = Mat::from_fn(m, m, |i, j| {
-                a[(free[i], free[j])] + if i == j { lambda / prior[free[i]][1].powi(2) } else { 0.0 }
-            });
-            let side = Mat::from_fn(m, 1, |i, _| side[i]);
-            own.llt(Side::Lower).ok().map(|f| f.solve(&side))
-        };
-        let size = |s: &Mat<f64>| (0..m).map(|i| (s[(i, 0)] / prior[free[i]][1]).abs()).fold(0.0, f64::max);
-        let mut lambda = 0.0;
-        let mut found = damped(lambda);
-        for _ in 0..40 {
-            match &found {
-                Some(s) if size(s) <= radius => break,
-                _ => {
-                    lambda = if lambda == 0.0 { 1.0 } else { 2.0 * lambda };
-                    found = damped(lambda);
-                }
-            }
-        }
-        let Some(s) = found else { return (x.to_vec(), 0.0) };
-        free.iter().enumerate().for_each(|(i, at)| dx[*at] = s[(i, 0)]);
-        // The one that passes its bound by most, in prior standard deviations, is held there.
-        let within = |i: usize| dx[i].clamp(bounds[i][0] - x[i], bounds[i][1] - x[i]);
-        let beyond = |i: &usize| (dx[*i] - within(*i)).abs() / prior[*i][1];
-        let Some(farthest) = free.iter().copied().max_by(|a, b| beyond(a).total_cmp(&beyond(b))) else { break };
-        if beyond(&farthest) == 0.0 {
-            break;
-        }
-        dx[farthest] = within(farthest);
-        free.retain(|i| *i != farthest);
-    }
-    let linear: f64 = dx.iter().zip(&gradient).map(|(d, g)| d * g).sum();
-    let square: f64 = (0..n).map(|i| dx[i] * (0..n).map(|j| a[(i, j)] * dx[j]).sum::<f64>()).sum();
-    (x.iter().zip(dx).map(|(x, d)| x + d).collect(), linear - 0.5 * square)
+    let bounds = model.bounds().into_iter().zip(x).map(|([low, high], x)| [low - x, high - x]);
+    let quadratic = Quadratic {
+        a: information(model, g),
+        gradient: gradient(model, x, g),
+        bounds: bounds.collect(),
+        size: model.prior().iter().map(|[_, sd]| *sd).collect(),
+    };
+    let Some((dx, gain)) = quadratic.highest(radius) else { return (x.to_vec(), 0.0) };
+    (x.iter().zip(dx).map(|(x, d)| x + d).collect(), gain)
 }
 
 /// ln of the share of the prior that the posterior leaves:

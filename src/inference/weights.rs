@@ -3,6 +3,7 @@
 use super::covariance::Covariance;
 use super::forward::{At, Bins, Forward, Predicted, Prediction};
 use crate::diagnosis::spectra;
+use crate::metrics::median;
 use crate::numerics::smooth::running_mean;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
@@ -34,6 +35,8 @@ const LEVEL_STEPS: usize = 20;
 const LEAST_COHERENCE: f64 = 0.05;
 /// Least error of a column.
 const LEAST_ERROR: f64 = 1e-4;
+/// Places between which a line is compared with what is around it.
+const LINE_NEIGHBOURS: [usize; 2] = [3, 12];
 /// Smallest power, as a share of the largest of a record.
 const FLOOR: f64 = 1e-12;
 
@@ -388,6 +391,26 @@ pub fn below(forward: &Forward<'_>, rows: &Rows, high_hz: f64) -> Rows {
         rows.iter().zip(counts).map(|(row, counts)| if counts { *row } else { 0.0 }).collect()
     };
     forward.records.iter().zip(rows).map(of).collect()
+}
+
+/// Where the power of `rows` stands out most from that at the frequencies around, and how far apart records tell frequencies, Hz.
+pub fn line_hz(forward: &Forward<'_>, rows: &Rows) -> Option<(f64, f64)> {
+    let n_sensor = forward.problem.array.outputs.len();
+    let ([low_hz, high_hz], width_hz) = (band_hz(forward), resolution_hz(forward));
+    let count = ((high_hz - low_hz) / width_hz) as usize + 1;
+    let mut power = vec![0.0; count];
+    for (at, rows) in forward.records.iter().zip(rows) {
+        for (f, bin) in forward.frequencies_hz(*at).iter().zip(rows.chunks(2 * n_sensor)) {
+            power[(((f - low_hz) / width_hz) as usize).min(count - 1)] += bin.iter().map(|r| r * r).sum::<f64>();
+        }
+    }
+    let around = |k: usize| {
+        let ends = k.saturating_sub(LINE_NEIGHBOURS[1])..(k + LINE_NEIGHBOURS[1] + 1).min(count);
+        let others: Vec<f64> = ends.filter(|j| j.abs_diff(k) >= LINE_NEIGHBOURS[0]).map(|j| power[j]).collect();
+        if others.is_empty() { f64::INFINITY } else { median(&others) }
+    };
+    let best = (0..count).max_by(|a, b| (power[*a] - around(*a)).total_cmp(&(power[*b] - around(*b))))?;
+    Some((low_hz + (best as f64 + 0.5) * width_hz, width_hz))
 }
 
 impl Weights {

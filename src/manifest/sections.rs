@@ -206,7 +206,8 @@ pub struct OutputSection {
     pub depth_m: f64,
 }
 
-/// Prior standard deviations of what is declared: the nuisances of a diagnosis and the draws of a twin.
+/// Prior standard deviations of what is declared, normal up to [`Tolerances::FARTHEST`]: the nuisances of a diagnosis and the draws of a
+/// twin.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Tolerances {
@@ -225,6 +226,11 @@ pub struct Tolerances {
     /// Error of the column itself that is no parameter's, as a share of what the column adds to its base motion: what another program's
     /// column of the same site would differ by.
     pub model: f64,
+}
+
+impl Tolerances {
+    /// Farthest that a declared value is within its tolerance, standard deviations: what is farther off is an effect.
+    pub const FARTHEST: f64 = 2.5;
 }
 
 impl Default for Tolerances {

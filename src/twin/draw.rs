@@ -10,8 +10,10 @@ use toml::{Table, Value};
 /// the damping, and gain, clock and azimuth of every sensor.
 pub fn draw(array: &Array, tolerances: &Tolerances, seed: u64) -> Vec<Table> {
     let mut random = random::stream(seed, "twin draws");
-    let mut normal =
-        |sd: f64| -> f64 { sd * <StandardNormal as Distribution<f64>>::sample(&StandardNormal, &mut random) };
+    let mut normal = |sd: f64| -> f64 {
+        let mut all = Distribution::<f64>::sample_iter(StandardNormal, &mut random);
+        sd * all.find(|z| z.abs() <= Tolerances::FARTHEST).unwrap_or(0.0)
+    };
     let mut tables = Vec::new();
     let mut add = |kind: &str, keys: &[(&str, Value)]| {
         let mut table = Table::from_iter([("kind".to_string(), Value::from(kind))]);

@@ -2,11 +2,11 @@
 
 use super::{Competition, HEATS, TOLD};
 use crate::effects::Instance;
-use crate::inference::algebra;
-use crate::inference::forward::{Forward, Prediction};
-use crate::inference::parameters::{Model, prior_of};
-use crate::inference::posterior::{Fit, Fitter, combined, gradient, square};
-use crate::inference::weights::Rows;
+use crate::inference::algebra::{self, Quadratic};
+use crate::inference::forward::Prediction;
+use crate::inference::parameters::prior_of;
+use crate::inference::posterior::{Fit, Fitter, Start, combined, gradient, square};
+use crate::inference::weights::{Rows, line_hz};
 use faer::Mat;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -21,10 +21,13 @@ const SLIGHT: f64 = 0.05;
 /// How much stronger a candidate is tried that does nothing the records could tell, and how often: some need a motion of some strength.
 const STRONGER: f64 = 3.0;
 const STRONGER_TIMES: usize = 2;
+/// Places to either side of a line, within the resolution of the records, at which a frequency is tried.
+const LINE_STEPS: i32 = 4;
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
 
 /// A candidate at one strength.
+#[derive(Clone)]
 struct Node {
     instance: Instance,
     /// Coordinates of its parameters there.
@@ -53,6 +56,8 @@ pub(super) struct Part {
 /// Candidates that are worth a fit.
 pub(super) struct Proposal {
     pub parts: Vec<Part>,
+    /// Effect of the model whose place they take.
+    pub instead_of: Option<usize>,
     /// Coordinates of the model beside them.
     beside: Vec<f64>,
     /// ln of their posterior up to a constant.
@@ -60,23 +65,30 @@ pub(super) struct Proposal {
 }
 
 impl<'a> Competition<'a> {
-    /// Where to start a fit of `set` beside the point `base`: where the linear problem puts it, or on the way there, as far as the
-    /// column agrees.
-    pub(super) fn started(by: &Fitter<'a>, base: &Fit<'a>, model: &Model<'a>, set: &Proposal) -> Vec<f64> {
+    /// The model of `base` with what is proposed, where to start its fit and the slopes that are known there: where the linear problem puts
+    /// it, or on the way there, as far as the column agrees.
+    pub(super) fn started(by: &Fitter<'a>, base: &Fit<'a>, set: Proposal) -> Start<'a> {
+        let left_out = set.instead_of.map_or(0..0, |i| base.model.coordinates_of(i));
+        let kept: Vec<usize> = (0..base.x.len()).filter(|i| !left_out.contains(i)).collect();
+        let mut model = base.model.clone();
+        set.instead_of.map(|i| model.effects.remove(i));
+        model.effects.extend(set.parts.iter().map(|part| part.instance.clone()));
         let at = |share: f64| {
-            let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, to)| x + share * (to - x)).collect();
+            let mut x: Vec<f64> = kept.iter().map(|i| base.x[*i] + share * (set.beside[*i] - base.x[*i])).collect();
             set.parts.iter().for_each(|part| x.extend(&part.start));
             x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
             x
         };
         let cost = |x: &Vec<f64>| {
-            let found = by.predict(model, x);
-            found.map_or(f64::INFINITY, |p| by.nll(&p) + Fitter::prior(model, x))
+            let found = by.predict(&model, x);
+            found.map_or(f64::INFINITY, |p| by.nll(&p) + Fitter::prior(&model, x))
         };
         let all = [at(1.0), at(0.5), at(0.0)];
         let costs = [cost(&all[0]), cost(&all[1]), cost(&all[2])];
         let best = (0..all.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
-        all.into_iter().nth(best).unwrap_or_default()
+        let x = all.into_iter().nth(best).unwrap_or_default();
+        let slopes = kept.iter().map(|i| Some(base.slopes[*i].clone())).chain(set.parts.into_iter().flat_map(|p| p.slopes));
+        Start { slopes: slopes.collect(), ..Start::at(model, x) }
     }
 
     /// Candidates at a strength of this many typical sizes, on one side of nothing or on each.
@@ -99,15 +111,15 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// All candidates beside `base`: singles, and pairs of the best.
+    /// All candidates beside `base`: singles, pairs of the best, and each in place of an effect that is there.
     pub(super) fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>, is_far: bool) -> Vec<Proposal> {
         let lacking: Vec<Instance> =
             self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i))).cloned().collect();
-        let is_smooth = |i: &Instance| i.zero().is_some() && !Forward::is_interference(i);
+        let is_smooth = |i: &Instance| i.zero().is_some() && i.hidden() == 0;
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
         let mut proposals: Vec<Proposal> = Self::nodes(&discrete, NODES[0], false)
             .into_iter()
-            .filter_map(|node| self.discrete(by, base, node))
+            .filter_map(|node| self.discrete(by, base, Self::at_line(by, base, node)))
             .collect();
         let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| Self::direction(by, base, n)).collect();
         // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
@@ -120,10 +132,18 @@ impl<'a> Competition<'a> {
             let further = self.further(by, base, &all);
             all.extend::<Vec<Direction>>(along(further));
         }
-        let (singles, pairs) = self.linear(by, base, &all);
-        proposals.extend(singles);
-        if base.model.effects.len() + 2 <= self.max_effects {
-            proposals.extend(pairs);
+        let Some(beside) = Linear::new(by, base, &all, None) else { return proposals };
+        let singles = self.singles(&beside);
+        let n_effect = base.model.effects.len();
+        if n_effect + 2 <= self.max_effects {
+            proposals.extend(self.pairs(&beside, &singles));
+        }
+        if n_effect < self.max_effects {
+            proposals.extend(singles.into_iter().map(|(_, single)| single));
+        }
+        let replaceable = if is_far { 0..0 } else { 0..n_effect };
+        for linear in replaceable.filter_map(|i| Linear::new(by, base, &all, Some(i))) {
+            proposals.extend(self.singles(&linear).into_iter().map(|(_, single)| single));
         }
         proposals
     }
@@ -156,14 +176,33 @@ impl<'a> Competition<'a> {
         Some(found)
     }
 
-    /// A candidate that is either there or not, or that changes the records themselves.
+    /// `node` where the residuals of `base` stand out most, if it is a line: away from its frequency nothing tells of it.
+    fn at_line(by: &Fitter<'a>, base: &Fit<'a>, mut node: Node) -> Node {
+        let Some(index) = node.instance.line() else { return node };
+        let Some((line_hz, width_hz)) = line_hz(by.forward, &base.rows) else { return node };
+        let parameter = node.instance.free[index].parameter;
+        let [low, high] = parameter.bounds();
+        let mut lowest = f64::INFINITY;
+        for step in -LINE_STEPS..=LINE_STEPS {
+            let mut there = node.clone();
+            there.at[index] =
+                parameter.coordinate(line_hz + width_hz * f64::from(step) / f64::from(LINE_STEPS)).clamp(low, high);
+            let cost = Self::predicted(by, base, &there).map_or(f64::INFINITY, |p| by.nll(&p));
+            if cost < lowest {
+                (lowest, node) = (cost, there);
+            }
+        }
+        node
+    }
+
+    /// A candidate that is either there or not, or that takes numbers from the records.
     fn discrete(&self, by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Proposal> {
         let there = Self::predicted(by, base, &node)?;
         let cost = by.nll(&there) + Fitter::prior(&base.model, &base.x);
-        let log_posterior = self.prior_of(&node.instance) - cost;
+        let log_posterior = self.log_posterior(base) + base.cost - cost + self.prior_of(&node.instance);
         let slopes = vec![None; node.at.len()];
         let part = Part { instance: node.instance, start: node.at, slopes };
-        Some(Proposal { parts: vec![part], beside: base.x.clone(), log_posterior })
+        Some(Proposal { parts: vec![part], instead_of: None, beside: base.x.clone(), log_posterior })
     }
 
     /// Further nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point.
@@ -171,7 +210,8 @@ impl<'a> Competition<'a> {
         let mut forms: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();
         let mut found = 0;
-        for single in self.linear(by, base, directions).0 {
+        let Some(linear) = Linear::new(by, base, directions, None) else { return nodes };
+        for (_, single) in self.singles(&linear) {
             let Part { instance, start: toward, .. } = &single.parts[0];
             let count = forms.entry(form(instance)).or_default();
             *count += 1;
@@ -190,122 +230,117 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// Each candidate at its best node by the linear problem around `base`, best first, and pairs of the best of these.
-    fn linear(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction]) -> (Vec<Proposal>, Vec<Proposal>) {
-        let Some(problem) = Linear::new(by, base, directions) else { return (Vec::new(), Vec::new()) };
-        let place = |i: usize| self.prior_of(&directions[i].node.instance);
-        let mut best: Vec<(usize, f64, f64)> = Vec::new();
-        for (i, direction) in directions.iter().enumerate() {
-            let (share, gain) = problem.single(i);
-            let log_posterior = problem.level + gain + place(i);
-            match best.iter_mut().find(|b| directions[b.0].node.instance == direction.node.instance) {
-                Some(known) if known.2 >= log_posterior => {}
-                Some(known) => *known = (i, share, log_posterior),
-                None => best.push((i, share, log_posterior)),
+    /// Each candidate at its best node by the linear problem, best first, and the direction that it is.
+    fn singles(&self, linear: &Linear<'_, 'a>) -> Vec<(usize, Proposal)> {
+        let instance = |i: usize| &linear.directions[i].node.instance;
+        let mut best: Vec<(usize, Proposal)> = Vec::new();
+        for i in 0..linear.directions.len() {
+            let Some(found) = self.proposal(linear, &[i]) else { continue };
+            match best.iter_mut().find(|(k, _)| instance(*k) == instance(i)) {
+                Some((_, known)) if known.log_posterior >= found.log_posterior => {}
+                Some(known) => *known = (i, found),
+                None => best.push((i, found)),
             }
         }
-        best.sort_by(|a, b| b.2.total_cmp(&a.2));
-        let singles = best.iter().map(|(i, share, value)| problem.proposal(&[(*i, *share)], *value)).collect();
-        let mut pairs: Vec<([(usize, f64); 2], f64)> = Vec::new();
-        for (k, one) in best.iter().enumerate().take(SHORTLIST) {
-            for other in best.iter().take(SHORTLIST).skip(k + 1) {
-                let [p, q] = [one.0, other.0];
-                let Some((shares, gain)) = problem.pair(p, q) else { continue };
-                pairs.push(([(p, shares[0]), (q, shares[1])], problem.level + gain + place(p) + place(q)));
-            }
-        }
-        pairs.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let pairs = pairs.into_iter().take(SHORTLIST).map(|(set, value)| problem.proposal(&set, value)).collect();
-        (singles, pairs)
+        best.sort_by(|(_, a), (_, b)| b.log_posterior.total_cmp(&a.log_posterior));
+        best
+    }
+
+    /// Pairs of the best of `singles`, best first.
+    fn pairs(&self, linear: &Linear<'_, 'a>, singles: &[(usize, Proposal)]) -> Vec<Proposal> {
+        let shortlist: Vec<usize> = singles.iter().take(SHORTLIST).map(|(i, _)| *i).collect();
+        let after = |k: usize| shortlist[k + 1..].iter().map(move |other| (k, *other));
+        let all = (0..shortlist.len()).flat_map(after);
+        let mut pairs: Vec<Proposal> = all.filter_map(|(k, o)| self.proposal(linear, &[shortlist[k], o])).collect();
+        pairs.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
+        pairs.truncate(SHORTLIST);
+        pairs
+    }
+
+    /// A `set` of directions with the prior of all effects.
+    fn proposal(&self, linear: &Linear<'_, 'a>, set: &[usize]) -> Option<Proposal> {
+        let mut proposal = linear.proposal(set)?;
+        let there = linear.base.model.effects.iter().enumerate().filter(|(i, _)| Some(*i) != linear.instead_of);
+        let effects = there.map(|(_, e)| e).chain(proposal.parts.iter().map(|p| &p.instance));
+        proposal.log_posterior += effects.map(|e| self.prior_of(e)).sum::<f64>();
+        Some(proposal)
     }
 }
 
-/// The linear problem of some directions around a point, in which the coordinates of its model give way.
+/// The linear problem of some directions around a point, in which the coordinates of its model give way within their ranges.
 struct Linear<'c, 'a> {
     base: &'c Fit<'a>,
     directions: &'c [Direction],
-    /// Normal equations of coordinates and directions, the pull of the prior in the right-hand side.
-    own: Mat<f64>,
-    /// Those of the directions where the coordinates have given way.
+    /// Effect of the model that is taken back to nothing.
+    instead_of: Option<usize>,
+    /// ln of the density over what is there: coordinates, then directions in units of their nodes.
+    density: Quadratic,
+    /// Information on the directions where the coordinates have given way.
     left: Mat<f64>,
-    precision: Vec<f64>,
-    /// ln of the density of the point where its coordinates have given way to nothing: that is no merit of a candidate.
-    level: f64,
+    /// ln of the share of the prior of the coordinates that the records leave.
+    occam: f64,
 }
 
 impl<'c, 'a> Linear<'c, 'a> {
-    fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction]) -> Option<Self> {
-        let n = base.x.len();
+    /// None where effect `instead_of` cannot be taken back to nothing along its coordinates, or the linear problem has no solution.
+    fn new(
+        by: &Fitter<'a>,
+        base: &'c Fit<'a>,
+        directions: &'c [Direction],
+        instead_of: Option<usize>,
+    ) -> Option<Self> {
+        let (n, count) = (base.x.len(), directions.len());
         let slopes: Vec<Arc<Rows>> =
             base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
-        let mut own = by.normal(&slopes, &base.rows);
-        let precision: Vec<f64> = base.model.prior().iter().map(|[_, sd]| 1.0 / (sd * sd)).collect();
-        let side = own.nrows() - 1;
-        let pushed = base.pushed(&own);
-        for (i, slope) in gradient(&base.model, &base.x, &own).into_iter().enumerate() {
-            (own[(i, side)], own[(side, i)]) = (slope, slope);
+        let own = by.normal(&slopes, &base.rows);
+        // The unit of a direction is its node.
+        let deviations = base.model.prior().into_iter().map(|[_, sd]| sd);
+        let size: Vec<f64> = deviations.chain(directions.iter().map(|d| 1.0 / d.node.distance)).collect();
+        let a = |i: usize, j: usize| own[(i, j)] + if i == j { size[i].powi(-2) } else { 0.0 };
+        let mut gradient = gradient(&base.model, &base.x, &own);
+        gradient.extend((n..n + count).map(|i| own[(i, n + count)]));
+        let mut bounds: Vec<[f64; 2]> =
+            base.model.bounds().into_iter().zip(&base.x).map(|([low, high], x)| [low - x, high - x]).collect();
+        if let Some(index) = instead_of {
+            let zero = base.model.effects[index].zero()?;
+            base.model.coordinates_of(index).zip(zero).for_each(|(i, zero)| bounds[i] = [zero - base.x[i]; 2]);
         }
-        // What the records push against an end of its range does not give way.
-        for i in pushed {
-            (0..=side).for_each(|j| (own[(i, j)], own[(j, i)]) = (0.0, 0.0));
-        }
-        let beside: Vec<usize> = (0..n).collect();
-        let left = algebra::without(&own, &beside, &precision)?;
-        let last = left.nrows() - 1;
-        let level = -(base.cost - 0.5 * (own[(side, side)] - left[(last, last)]));
-        Some(Self { base, directions, own, left, precision, level })
+        let far = directions.iter().map(|d| [if d.node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST]);
+        bounds.extend(far);
+        let density = Quadratic { a: Mat::from_fn(n + count, n + count, a), gradient, bounds, size };
+        // What stands at an end of its range does not give way.
+        let (moved, _) = density.of(&(0..n).collect::<Vec<_>>()).highest(f64::INFINITY)?;
+        let beside: Vec<usize> = (0..n).filter(|i| !density.bounds[*i].contains(&moved[*i])).collect();
+        let kept = [&beside[..], &(n..n + count).collect::<Vec<_>>()].concat();
+        let precision: Vec<f64> = beside.iter().map(|i| density.size[*i].powi(-2)).collect();
+        let own = Mat::from_fn(kept.len(), kept.len(), |i, j| own[(kept[i], kept[j])]);
+        let left = algebra::without(&own, &(0..beside.len()).collect::<Vec<_>>(), &precision)?;
+        let information = algebra::ln_determinant(&density.of(&beside).a)?;
+        let occam = -0.5 * (information - precision.iter().map(|p| p.ln()).sum::<f64>());
+        Some(Self { base, directions, instead_of, density, left, occam })
     }
 
-    /// Precision of the prior of direction `i`, whose unit is its node.
-    fn evidence(&self, i: usize) -> f64 {
-        self.directions[i].node.distance.powi(2)
-    }
-
-    /// How far along direction `i` the records lead.
-    fn toward(&self, i: usize) -> f64 {
-        self.left[(i, self.left.nrows() - 1)]
-    }
-
-    fn held(&self, i: usize, share: f64) -> f64 {
-        share.clamp(if self.directions[i].node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST)
-    }
-
-    /// Best share of direction `i`, and what that gains in ln of the evidence.
-    fn single(&self, i: usize) -> (f64, f64) {
-        let total = self.left[(i, i)] + self.evidence(i);
-        let share = self.held(i, self.toward(i) / total);
-        let gain = self.toward(i) * share - 0.5 * total * share * share - 0.5 * (total / self.evidence(i)).ln();
-        (share, gain)
-    }
-
-    /// The same of two directions; `None` where they are one.
-    fn pair(&self, p: usize, q: usize) -> Option<([f64; 2], f64)> {
-        let (a, d) = (self.left[(p, p)] + self.evidence(p), self.left[(q, q)] + self.evidence(q));
-        let (c, e, f) = (self.left[(p, q)], self.toward(p), self.toward(q));
-        let determinant = a * d - c * c;
-        if determinant <= 1e-9 * a * d {
-            return None;
-        }
-        let [x, y] = [self.held(p, (d * e - c * f) / determinant), self.held(q, (a * f - c * e) / determinant)];
-        let gain = e * x + f * y
-            - 0.5 * (a * x * x + d * y * y)
-            - c * x * y
-            - 0.5 * (determinant / (self.evidence(p) * self.evidence(q))).ln();
-        Some(([x, y], gain))
-    }
-
-    /// Shares of directions as a proposal, the coordinates where they give way to these.
-    fn proposal(&self, set: &[(usize, f64)], log_posterior: f64) -> Proposal {
-        let (n, side) = (self.base.x.len(), self.own.nrows() - 1);
-        let against = |i: usize| set.iter().map(|(d, share)| self.own[(i, n + d)] * share).sum::<f64>();
-        let right: Vec<f64> = (0..n).map(|i| self.own[(i, side)] - against(i)).collect();
-        let whole = Mat::from_fn(n, n, |i, j| self.own[(i, j)] + if i == j { self.precision[i] } else { 0.0 });
-        let moved = algebra::solved(&whole, &right).unwrap_or_else(|| vec![0.0; n]);
-        Proposal {
-            parts: set.iter().map(|(d, share)| self.directions[*d].part(*share)).collect(),
-            beside: self.base.x.iter().zip(moved).map(|(x, d)| x + d).collect(),
-            log_posterior,
-        }
+    /// A `set` of directions as far as the records lead, the coordinates where they give way to that; `None` where the directions are one.
+    ///
+    /// ```text
+    /// ln p = −cost + max − ½ ln det(I + Λ⁻¹ A) − ½ ln det(I + E⁻¹ L)          (1)
+    /// ```
+    ///
+    /// A and Λ are what the records and the prior know of the coordinates, L and E of the directions beside these.
+    fn proposal(&self, set: &[usize]) -> Option<Proposal> {
+        let (n, k) = (self.base.x.len(), set.len());
+        let unknowns: Vec<usize> = (0..n).chain(set.iter().map(|i| n + i)).collect();
+        let (moved, gain) = self.density.of(&unknowns).highest(f64::INFINITY)?;
+        let distance = |i: usize| self.directions[set[i]].node.distance;
+        let told = |i: usize, j: usize| self.left[(set[i], set[j])] / (distance(i) * distance(j));
+        let whole = Mat::from_fn(k, k, |i, j| told(i, j) + f64::from(u8::from(i == j)));
+        let parts = set.iter().zip(&moved[n..]).map(|(i, share)| self.directions[*i].part(*share));
+        Some(Proposal {
+            parts: parts.collect(),
+            instead_of: self.instead_of,
+            beside: self.base.x.iter().zip(&moved).map(|(x, d)| x + d).collect(),
+            log_posterior: gain + self.occam - 0.5 * algebra::ln_determinant(&whole)? - self.base.cost,
+        })
     }
 }
 
