@@ -16,7 +16,7 @@ use super::weights::{Rows, Spread, Weights};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
-use proposals::{NODES, Proposal, away, distinct};
+use proposals::{NODES, Proposal, away, distinct, rivals};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -46,6 +46,17 @@ const ONE_MORE: f64 = 0.25;
 const CHANGED: [f64; 2] = [0.05, 0.02];
 /// The same from which candidates are looked for anew.
 const OTHER: [f64; 2] = [0.7, 0.2];
+
+/// What is looked at around a model.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Look {
+    /// Candidates besides.
+    Near,
+    /// The same where strong ones lead when tolerances are taken back to what is declared.
+    Far,
+    /// Candidates besides, and in the place of what the model has.
+    AtRivals,
+}
 
 /// Fitted models by their effects.
 pub struct Competition<'a> {
@@ -122,6 +133,10 @@ impl<'a> Competition<'a> {
         self.fits.iter().filter(|fit| is_meant(fit)).max_by(more)
     }
 
+    fn best_named(&self) -> &Fit<'a> {
+        self.best_of(|fit| fit.model.is_named()).unwrap_or(&self.fits[0])
+    }
+
     fn known(&self, effects: &[Instance]) -> Option<usize> {
         self.fits.iter().position(|f| is_same_set(&f.model.effects, effects))
     }
@@ -136,8 +151,7 @@ impl<'a> Competition<'a> {
             self.renew_spread(progress)?;
             // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what
             // they would explain.
-            let named = self.best_of(|fit| fit.model.is_named()).unwrap_or(&self.fits[0]);
-            let best = named.model.effects.clone();
+            let best = self.best_named().model.effects.clone();
             let without = |i: usize| [&best[..i], &best[i + 1..]].concat();
             // What is simpler first: it may do as well.
             let open = (0..best.len()).map(without).chain([best.clone()]);
@@ -249,16 +263,17 @@ impl<'a> Competition<'a> {
                 fit
             }
         };
+        let look = if is_same_set(&effects, &self.best_named().model.effects) { Look::AtRivals } else { Look::Near };
         self.expanded.push(effects);
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
         let is_open = start.model.effects.len() < self.max_effects;
-        let mut heats = self.heats(&by, &by, &start, &start, false);
+        let mut heats = self.heats(&by, &by, &start, &start, look);
         heats.extend(self.unnamed(&by, &start));
         if is_open && base.is_strained() {
             // Far from what the records say only the lowest modes tell where to go.
             let lowest = by.of_lowest_modes();
-            heats.extend(self.heats(&by, &lowest, &start, &Self::relaxed(&lowest, &start)?, true));
+            heats.extend(self.heats(&by, &lowest, &start, &Self::relaxed(&lowest, &start)?, Look::Far));
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
         let mut finals: Vec<Fit<'a>> = Vec::new();
@@ -300,28 +315,23 @@ impl<'a> Competition<'a> {
     }
 
     /// First fits, by `fitter`, of the most promising candidates beside `point`, the model of `base`, by what `by` says of them.
-    fn heats(
-        &self,
-        fitter: &Fitter<'a>,
-        by: &Fitter<'a>,
-        base: &Fit<'a>,
-        point: &Fit<'a>,
-        is_far: bool,
-    ) -> Vec<Fit<'a>> {
-        let mut proposals = self.proposals(by, point, is_far);
+    fn heats(&self, fitter: &Fitter<'a>, by: &Fitter<'a>, base: &Fit<'a>, point: &Fit<'a>, look: Look) -> Vec<Fit<'a>> {
+        let mut proposals = self.proposals(by, point, look);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
-        // A pair that holds what a single one holds is always as good before it is fitted, and what takes the place of an effect is as good
-        // as that at best. Where tolerances stand in for something, what comes on top of a pair is sought when one of the two is in the
-        // model.
+        // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
+        // comes on top of a pair is sought when one of the two is in the model.
         let (instead, more): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.instead_of.is_some());
         let (singles, pairs): (Vec<_>, Vec<_>) = more.into_iter().partition(|p| p.parts.len() == 1);
         let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs) };
         let fitted = |set: Proposal| {
             let start = Self::started(by, point, set);
-            let found = if is_far { fitter.fit_from_afar(start, FAR_HEAT) } else { fitter.fit(start, HEAT) };
-            found.ok()
+            let is_far = look == Look::Far;
+            if is_far { fitter.fit_from_afar(start, FAR_HEAT) } else { fitter.fit(start, HEAT) }.ok()
         };
-        distinct(singles).into_iter().chain(pairs).chain(distinct(instead)).filter_map(fitted).collect()
+        let rivals = rivals(&base.model, instead);
+        let rivals =
+            rivals.into_iter().filter_map(|set| by.fit_from_afar(Self::from_declared(base, set), FAR_HEAT).ok());
+        distinct(singles).into_iter().chain(pairs).filter_map(fitted).chain(rivals).collect()
     }
 
     /// The best first fit of what has no name beside `base`: a response of one sensor, or of each.

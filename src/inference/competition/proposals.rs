@@ -1,10 +1,10 @@
 //! Which candidates are worth a fit beside a model: each at every place, alone and in pairs, by the linear problem around that model.
 
-use super::{Competition, HEATS, TOLD};
-use crate::effects::Instance;
+use super::{Competition, HEATS, Look, TOLD};
+use crate::effects::{self, Instance};
 use crate::inference::algebra::{self, Quadratic};
 use crate::inference::forward::Prediction;
-use crate::inference::parameters::prior_of;
+use crate::inference::parameters::{Model, prior_of};
 use crate::inference::posterior::{Fit, Fitter, Start, combined, gradient, square};
 use crate::inference::weights::{Rows, line_hz};
 use faer::Mat;
@@ -65,14 +65,29 @@ pub(super) struct Proposal {
 }
 
 impl<'a> Competition<'a> {
-    /// The model of `base` with what is proposed, where to start its fit and the slopes that are known there: where the linear problem puts
-    /// it, or on the way there, as far as the column agrees.
-    pub(super) fn started(by: &Fitter<'a>, base: &Fit<'a>, set: Proposal) -> Start<'a> {
+    /// The model of `base` with what is proposed, and the coordinates of `base` that are still in it.
+    fn model_with(base: &Fit<'a>, set: &Proposal) -> (Model<'a>, Vec<usize>) {
         let left_out = set.instead_of.map_or(0..0, |i| base.model.coordinates_of(i));
-        let kept: Vec<usize> = (0..base.x.len()).filter(|i| !left_out.contains(i)).collect();
         let mut model = base.model.clone();
         set.instead_of.map(|i| model.effects.remove(i));
         model.effects.extend(set.parts.iter().map(|part| part.instance.clone()));
+        (model, (0..base.x.len()).filter(|i| !left_out.contains(i)).collect())
+    }
+
+    /// Where to start a fit of what takes the place of an effect of `base`: from what is declared, for what stood in for one effect leads
+    /// away from the other.
+    pub(super) fn from_declared(base: &Fit<'a>, set: Proposal) -> Start<'a> {
+        let (model, kept) = Self::model_with(base, &set);
+        let declared = base.model.declared.len();
+        let mut x: Vec<f64> = kept.iter().map(|i| if *i < declared { 0.0 } else { base.x[*i] }).collect();
+        set.parts.iter().for_each(|part| x.extend(part.instance.zero().unwrap_or_else(|| part.start.clone())));
+        Start::at(model, x)
+    }
+
+    /// The model of `base` with what is proposed, where to start its fit and the slopes that are known there: where the linear problem puts
+    /// it, or on the way there, as far as the column agrees.
+    pub(super) fn started(by: &Fitter<'a>, base: &Fit<'a>, set: Proposal) -> Start<'a> {
+        let (model, kept) = Self::model_with(base, &set);
         let at = |share: f64| {
             let mut x: Vec<f64> = kept.iter().map(|i| base.x[*i] + share * (set.beside[*i] - base.x[*i])).collect();
             set.parts.iter().for_each(|part| x.extend(&part.start));
@@ -87,7 +102,8 @@ impl<'a> Competition<'a> {
         let costs = [cost(&all[0]), cost(&all[1]), cost(&all[2])];
         let best = (0..all.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
         let x = all.into_iter().nth(best).unwrap_or_default();
-        let slopes = kept.iter().map(|i| Some(base.slopes[*i].clone())).chain(set.parts.into_iter().flat_map(|p| p.slopes));
+        let slopes =
+            kept.iter().map(|i| Some(base.slopes[*i].clone())).chain(set.parts.into_iter().flat_map(|p| p.slopes));
         Start { slopes: slopes.collect(), ..Start::at(model, x) }
     }
 
@@ -111,8 +127,9 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// All candidates beside `base`: singles, pairs of the best, and each in place of an effect that is there.
-    pub(super) fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>, is_far: bool) -> Vec<Proposal> {
+    /// All candidates beside `base`: singles, pairs of the best, and each in the place of an effect that is there.
+    pub(super) fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>, look: Look) -> Vec<Proposal> {
+        let is_far = look == Look::Far;
         let lacking: Vec<Instance> =
             self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && i.hidden() == 0;
@@ -141,7 +158,7 @@ impl<'a> Competition<'a> {
         if n_effect < self.max_effects {
             proposals.extend(singles.into_iter().map(|(_, single)| single));
         }
-        let replaceable = if is_far { 0..0 } else { 0..n_effect };
+        let replaceable = if look == Look::AtRivals { 0..n_effect } else { 0..0 };
         for linear in replaceable.filter_map(|i| Linear::new(by, base, &all, Some(i))) {
             proposals.extend(self.singles(&linear).into_iter().map(|(_, single)| single));
         }
@@ -283,12 +300,7 @@ struct Linear<'c, 'a> {
 
 impl<'c, 'a> Linear<'c, 'a> {
     /// None where effect `instead_of` cannot be taken back to nothing along its coordinates, or the linear problem has no solution.
-    fn new(
-        by: &Fitter<'a>,
-        base: &'c Fit<'a>,
-        directions: &'c [Direction],
-        instead_of: Option<usize>,
-    ) -> Option<Self> {
+    fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction], instead_of: Option<usize>) -> Option<Self> {
         let (n, count) = (base.x.len(), directions.len());
         let slopes: Vec<Arc<Rows>> =
             base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
@@ -376,6 +388,24 @@ pub(super) fn away(instance: &Instance, zero: &[f64], size: f64, sign: f64) -> O
     let mut all = zero.to_vec();
     all[first] = at;
     ((at - zero[first]).abs() > 1e-3 * step).then_some(all)
+}
+
+/// Of proposals in the place of an effect of `model`, best first, those that the catalogue knows to be confused with it and its own other
+/// places: the best places of each form.
+pub(super) fn rivals(model: &Model<'_>, proposals: Vec<Proposal>) -> Vec<Proposal> {
+    let mut forms: BTreeMap<(Option<usize>, String), usize> = BTreeMap::new();
+    let is_rival = |p: &Proposal| {
+        let there = p.instead_of.map(|i| model.effects[i].kind);
+        let confused = there.and_then(|kind| effects::find(kind).ok()).map_or(&[][..], |e| e.catalogue.confused_with);
+        let kind = p.parts[0].instance.kind;
+        there == Some(kind) || confused.contains(&kind)
+    };
+    let mut is_among_best = |p: &Proposal| {
+        let count = forms.entry((p.instead_of, form(&p.parts[0].instance))).or_default();
+        *count += 1;
+        *count <= PLACES
+    };
+    proposals.into_iter().filter(is_rival).filter(|p| is_among_best(p)).collect()
 }
 
 /// The best place of each set of forms.
