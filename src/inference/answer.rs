@@ -5,7 +5,7 @@ use super::convention::conventions;
 use super::few::{self, Few};
 use super::forward::{Forward, Prediction};
 use super::parameters::{Declared, Model};
-use super::posterior::{Fit, Fitter, Start, Stop};
+use super::posterior::{Fit, Fitter, Start, Stop, normal_probability};
 use super::weights::{Spread, band_hz, residual_powers};
 use crate::diagnosis::{
     Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Remainder, Replay, Rest, RestVerdict,
@@ -24,6 +24,8 @@ const NOTHING: f64 = 0.05;
 const KNOWN: f64 = 0.9;
 /// Two-sided 95 % quantile of a normal number.
 const NORMAL: f64 = 1.96;
+/// Halvings of what holds a quantile.
+const BISECTIONS: usize = 60;
 /// Most rounds of recalibration, and the change of the column's level (ln) below which they end.
 const RECALIBRATIONS: usize = 4;
 const STILL: f64 = 0.1;
@@ -261,11 +263,11 @@ impl<'a> Answer<'_, 'a> {
     fn found(&self, fit: &Fit<'a>) -> Vec<Found> {
         let members = self.members(fit);
         let of = |(index, instance): (usize, &Instance)| {
-            let (start, halves) = (fit.model.start(index), averaged(fit, index, &members));
+            let (start, intervals) = (fit.model.start(index), averaged(fit, index, &members));
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
-                let (x, half, p) = (fit.x[start + i], halves[i], free.parameter);
+                let (x, p) = (fit.x[start + i], free.parameter);
                 let [low, high] = p.bounds();
-                let ends = [x - half, x + half].map(|e| p.value(e.clamp(low, high)));
+                let ends = intervals[i].map(|e| p.value(e.clamp(low, high)));
                 let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
                 (p.name.to_string(), Estimate { value: p.value(x), unit: p.unit.to_string(), ci95 })
             });
@@ -293,30 +295,59 @@ struct Member<'c, 'a> {
     half_widths: Vec<f64>,
 }
 
-/// Half widths of 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`. What else may hold widens them: every
-/// member that has that effect, here or elsewhere, counts by its probability.
+/// 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`. What else may hold widens them: every member that has
+/// that effect, here or elsewhere, counts by its probability.
 ///
 /// ```text
-/// h² = Σ p (h_m² + (1.96 (x_m − x))²) / Σ p                               (1)
+/// Σ p_m Φ((q − x_m)/s_m) = 0.025 and 0.975, Σ p_m = 1                     (1)
 /// ```
 ///
-/// Source: (1) Hoeting et al. (1999), doi 10.1214/ss/1009212519, variance of an average over models.
-fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<f64> {
+/// Source: (1) Hoeting et al. (1999), doi 10.1214/ss/1009212519, distribution of an average over models, normal in each.
+fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<[f64; 2]> {
     let own = &fit.model.effects[index];
-    let x = &fit.x[fit.model.start(index)..][..own.free.len()];
-    let mut sums = vec![[0.0, 0.0]; own.free.len()];
-    for Member { fit: other, odds, half_widths } in members {
-        let effects = &other.model.effects;
+    let alike = |effects: &[Instance]| {
         let here = effects.iter().position(|e| e.is_one(own));
-        let Some(alike) = here.or_else(|| effects.iter().position(|e| e.is_alike(own))) else { continue };
-        let start = other.model.start(alike);
-        for (k, [square, weight]) in sums.iter_mut().enumerate() {
-            let away = NORMAL * (other.x[start + k] - x[k]);
-            *square += odds * (half_widths[start + k].powi(2) + away * away);
-            *weight += odds;
-        }
+        here.or_else(|| effects.iter().position(|e| e.is_alike(own)))
+    };
+    let starts = |m: &Member<'_, '_>| Some(m.fit.model.start(alike(&m.fit.model.effects)?));
+    let found: Vec<(&Member<'_, '_>, usize)> = members.iter().filter_map(|m| Some((m, starts(m)?))).collect();
+    let of = |k: usize| {
+        let parts = found.iter().map(|(m, start)| Normal {
+            weight: m.odds,
+            mean: m.fit.x[start + k],
+            deviation: m.half_widths[start + k] / NORMAL,
+        });
+        let mixture: Vec<Normal> = parts.collect();
+        [0.025, 0.975].map(|p| quantile(&mixture, p))
+    };
+    (0..own.free.len()).map(of).collect()
+}
+
+/// A normal distribution with a weight.
+struct Normal {
+    weight: f64,
+    mean: f64,
+    deviation: f64,
+}
+
+/// Quantile of a mixture.
+fn quantile(mixture: &[Normal], probability: f64) -> f64 {
+    let total: f64 = mixture.iter().map(|n| n.weight).sum();
+    // Where all deviations end: no quantile that is asked for lies beyond.
+    let end = |sign: f64| {
+        let ends = mixture.iter().map(|n| sign * (n.mean + sign * 4.0 * n.deviation));
+        sign * ends.fold(f64::NEG_INFINITY, f64::max)
+    };
+    let [mut low, mut high] = [end(-1.0), end(1.0)];
+    if !(low.is_finite() && high.is_finite()) {
+        return if probability < 0.5 { f64::NEG_INFINITY } else { f64::INFINITY };
     }
-    sums.into_iter().map(|[square, weight]| (square / weight).sqrt()).collect()
+    for _ in 0..BISECTIONS {
+        let middle = 0.5 * (low + high);
+        let below: f64 = mixture.iter().map(|n| n.weight * normal_probability((middle - n.mean) / n.deviation)).sum();
+        if below < probability * total { low = middle } else { high = middle }
+    }
+    0.5 * (low + high)
 }
 
 /// Half widths of 95 % intervals of the coordinates.
@@ -465,6 +496,27 @@ mod tests {
         let [low, high] = found.effects[0].parameters["offset_s"].ci95;
         assert!(low <= 0.025 && 0.025 <= high, "{:?}", found.effects[0].parameters);
         assert!(found.explained_share.unwrap() > 0.8, "{:?}", found.explained_share);
+    }
+
+    #[test]
+    fn quantiles_of_a_mixture_are_those_of_its_parts_and_between_them() {
+        let normal = |weight, mean, deviation| Normal { weight, mean, deviation };
+        let alone = [normal(3.0, 2.0, 0.5)];
+        assert!((quantile(&alone, 0.025) - (2.0 - 0.5 * 1.959_964)).abs() < 1e-6);
+        // A tenth of the weight far below: a quarter of that is below its own lower quartile.
+        let two = [normal(0.9, 1.0, 0.01), normal(0.1, -1.0, 0.01)];
+        assert!((quantile(&two, 0.025) - (-1.0 - 0.01 * 0.674_490)).abs() < 1e-6);
+        assert!((quantile(&two, 0.975) - (1.0 + 0.01 * 1.914_506)).abs() < 1e-4, "{}", quantile(&two, 0.975));
+        assert_eq!(quantile(&[normal(1.0, 0.0, f64::INFINITY)], 0.975), f64::INFINITY);
+    }
+
+    #[test]
+    fn a_tilt_is_named() {
+        let table = "kind = 'baseline_tilt'\nsensor = 'top'\ntilt_deg = -0.2";
+        let found = diagnosed(&Truth { table, ..FEW });
+        assert_eq!((found.verdict, found.effects.len()), (Verdict::Known, 1), "{:?}", found.candidates);
+        let [low, high] = found.effects[0].parameters["tilt_deg"].ci95;
+        assert!(low <= -0.2 && -0.2 <= high && high - low < 0.1, "{:?}", found.effects[0].parameters);
     }
 
     #[test]

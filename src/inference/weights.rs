@@ -393,7 +393,7 @@ pub fn below(forward: &Forward<'_>, rows: &Rows, high_hz: f64) -> Rows {
     forward.records.iter().zip(rows).map(of).collect()
 }
 
-/// Where the power of `rows` stands out most from that at the frequencies around, and how far apart records tell frequencies, Hz.
+/// Where the power of `rows` stands out most over that at the frequencies around, and how far apart records tell frequencies, Hz.
 pub fn line_hz(forward: &Forward<'_>, rows: &Rows) -> Option<(f64, f64)> {
     let n_sensor = forward.problem.array.outputs.len();
     let ([low_hz, high_hz], width_hz) = (band_hz(forward), resolution_hz(forward));
@@ -407,9 +407,9 @@ pub fn line_hz(forward: &Forward<'_>, rows: &Rows) -> Option<(f64, f64)> {
     let around = |k: usize| {
         let ends = k.saturating_sub(LINE_NEIGHBOURS[1])..(k + LINE_NEIGHBOURS[1] + 1).min(count);
         let others: Vec<f64> = ends.filter(|j| j.abs_diff(k) >= LINE_NEIGHBOURS[0]).map(|j| power[j]).collect();
-        if others.is_empty() { f64::INFINITY } else { median(&others) }
+        if others.is_empty() { f64::INFINITY } else { median(&others).max(f64::MIN_POSITIVE) }
     };
-    let best = (0..count).max_by(|a, b| (power[*a] - around(*a)).total_cmp(&(power[*b] - around(*b))))?;
+    let best = (0..count).max_by(|a, b| (power[*a] / around(*a)).total_cmp(&(power[*b] / around(*b))))?;
     Some((low_hz + (best as f64 + 0.5) * width_hz, width_hz))
 }
 
@@ -512,6 +512,18 @@ mod tests {
     use super::super::made_up::{Truth, Uniform, problem};
     use super::*;
     use crate::diagnosis::DiagnoseSettings;
+
+    #[test]
+    fn a_line_is_where_a_hum_is() {
+        let table = "kind = 'machine_hum'\nsensor = 'top'\namplitude_m_s2 = 0.1\nfrequency_hz = 6.35";
+        let problem = problem(&Truth { table, ..Truth::default() });
+        let replay = Uniform(&problem);
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let prediction = forward.predict(&[]).unwrap();
+        let weights = Weights::new(&forward, &Spread::estimated(&forward, &prediction), &prediction);
+        let (found_hz, width_hz) = line_hz(&forward, &weights.rows(&prediction)).unwrap();
+        assert!((found_hz - 6.35).abs() < width_hz, "{found_hz} Hz, {width_hz} Hz wide");
+    }
 
     #[test]
     fn levels_and_coherence_are_read_off_records() {
