@@ -22,7 +22,7 @@ impl Stage for NullTwins {
     }
 
     fn version(&self) -> u32 {
-        17
+        18
     }
 
     fn reads(&self) -> &'static [&'static str] {

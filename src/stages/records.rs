@@ -27,7 +27,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn reads(&self) -> &'static [&'static str] {

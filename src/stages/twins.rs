@@ -26,7 +26,7 @@ pub struct TwinThresholds;
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 36);
+const TWIN: (&str, u32) = ("twin", 37);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -54,7 +54,7 @@ impl Stage for TwinThresholds {
     }
 
     fn version(&self) -> u32 {
-        24
+        25
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -85,7 +85,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        35
+        36
     }
 
     fn reads(&self) -> &'static [&'static str] {
