@@ -149,6 +149,7 @@ impl<'a> Competition<'a> {
         for _ in 0..ROUNDS {
             self.renew_anchor()?;
             self.renew_spread(progress)?;
+            self.renew_parts()?;
             // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what
             // they would explain.
             let best = self.best_named().model.effects.clone();
@@ -255,14 +256,8 @@ impl<'a> Competition<'a> {
 
     /// Fits the most promising candidates beside the fitted model with `effects`.
     fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
-        let base = match self.known(&effects) {
-            Some(index) => self.fits[index].clone(),
-            None => {
-                let fit = self.fit_part(&effects)?;
-                self.keep(fit.clone());
-                fit
-            }
-        };
+        let base = self.fit_part(&effects)?;
+        self.keep(base.clone());
         let look = if is_same_set(&effects, &self.best_named().model.effects) { Look::AtRivals } else { Look::Near };
         self.expanded.push(effects);
         let by = self.few.fitter(&self.fitter);
@@ -401,9 +396,26 @@ impl<'a> Competition<'a> {
         }
     }
 
-    /// The fit with `effects`, some of those of the best model, from where that one is.
+    /// Fits parts of the best model anew that do better from where it is: what ended on the way there is no match for it.
+    fn renew_parts(&mut self) -> Result<()> {
+        loop {
+            let best = self.best_named().model.effects.clone();
+            for part in (0..best.len()).map(|i| [&best[..i], &best[i + 1..]].concat()) {
+                if self.known(&part).is_some() {
+                    let fit = self.fit_part(&part)?;
+                    self.keep(fit);
+                }
+            }
+            if is_same_set(&best, &self.best_named().model.effects) {
+                return Ok(());
+            }
+        }
+    }
+
+    /// The fit with `effects`, some of those of the best model: the one that is known, or one from where the best model is if that is better
+    /// already without the others.
     fn fit_part(&self, effects: &[Instance]) -> Result<Fit<'a>> {
-        let best = self.best();
+        let best = self.best_named();
         let n = best.model.declared.len();
         let mut x = best.x[..n].to_vec();
         let mut slopes: Vec<Option<Arc<Rows>>> = best.slopes[..n].iter().cloned().map(Some).collect();
@@ -414,6 +426,12 @@ impl<'a> Competition<'a> {
             slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
+        if let Some(known) = self.known(effects).map(|i| &self.fits[i]) {
+            let there = self.fitter.predict(&model, &x).map(|p| self.fitter.nll(&p) + Fitter::prior(&model, &x));
+            if there.map_or(true, |cost| cost >= known.cost) {
+                return Ok(known.clone());
+            }
+        }
         self.fitter.fit(Start { slopes, ..Start::at(model, x) }, Stop::CLOSE)
     }
 
