@@ -1,0 +1,178 @@
+//! Records of an exact linear column of layers with a damping ratio that does not depend on frequency: where the manifest declares just
+//! that, nothing is missing.
+//!
+//! All seeds: `cargo test --release --test linear_column -- --ignored`.
+
+use flare_pipe::numerics::random::stream;
+use flare_pipe::numerics::spectrum::respond;
+use rand_distr::{Distribution, StandardNormal, Uniform};
+use realfft::num_complex::Complex;
+use std::f64::consts::TAU;
+use std::fmt::Write;
+use std::path::Path;
+
+type C64 = Complex<f64>;
+
+const DT_S: f64 = 0.01;
+const STEPS: usize = 4000;
+const EVENTS: usize = 8;
+const DAMPING_RATIO: f64 = 0.03;
+/// Sensors from the input up, and their depths, m.
+const SENSORS: [(&str, f64); 4] = [("B30", 30.0), ("D16", 16.0), ("D6", 6.0), ("S0", 0.0)];
+const SITE: &str = r#"
+name = "linear"
+about = "An exact linear column"
+pipeline = "diagnose"
+[site]
+depth_m = 30.0
+elements = 60
+water_table_m = 30.0
+vertical = "free"
+[law.soil]
+kind = "elastic"
+damping_ratio = 0.03
+[sensors]
+input = "B30"
+[records]
+format = "csv"
+unit = "m/s2"
+components = ["EW", "NS"]
+train = ["L1", "L2", "L3", "L4"]
+validation = ["L5", "L6"]
+test = ["L7", "L8"]
+[motions]
+count = 20
+seed = 1
+duration_s = 15.0
+bands = [{ count = 20, min_pga_g = 0.01, max_pga_g = 0.03 }]
+train = "1-16"
+validation = "17-20"
+[pretrain]
+window = 3
+latent = 6
+channels = 16
+step_s = 0.05
+[distill]
+window = 5
+[calibrate]
+"#;
+
+struct Layer {
+    thickness_m: f64,
+    vs_m_s: f64,
+    density_kg_m3: f64,
+}
+
+const LAYERS: [Layer; 3] = [
+    Layer { thickness_m: 6.0, vs_m_s: 140.0, density_kg_m3: 1850.0 },
+    Layer { thickness_m: 10.0, vs_m_s: 210.0, density_kg_m3: 1900.0 },
+    Layer { thickness_m: 14.0, vs_m_s: 290.0, density_kg_m3: 1950.0 },
+];
+
+/// Motion at `depth_m` over that at the base: Kramer (1996), Geotechnical Earthquake Engineering, section 7.2.1.3, of the modulus
+/// G (1 + 2 i ξ).
+fn transfer(f_hz: f64, depth_m: f64) -> C64 {
+    let velocity = |layer: &Layer| C64::new(1.0, 2.0 * DAMPING_RATIO).sqrt() * layer.vs_m_s;
+    let (mut up, mut down) = (C64::from(1.0), C64::from(1.0));
+    let (mut top_m, mut there) = (0.0, C64::from(2.0));
+    for (i, layer) in LAYERS.iter().enumerate() {
+        let wave = |z_m: f64, sign: f64| (C64::i() * sign * TAU * f_hz / velocity(layer) * z_m).exp();
+        if (top_m..top_m + layer.thickness_m).contains(&depth_m) {
+            there = up * wave(depth_m - top_m, 1.0) + down * wave(depth_m - top_m, -1.0);
+        }
+        (up, down) = (up * wave(layer.thickness_m, 1.0), down * wave(layer.thickness_m, -1.0));
+        if let Some(below) = LAYERS.get(i + 1) {
+            let ratio = velocity(layer) * layer.density_kg_m3 / (velocity(below) * below.density_kg_m3);
+            (up, down) =
+                ((up * (1.0 + ratio) + down * (1.0 - ratio)) * 0.5, (up * (1.0 - ratio) + down * (1.0 + ratio)) * 0.5);
+        }
+        top_m += layer.thickness_m;
+    }
+    there / (up + down)
+}
+
+/// Writes the records of every event and component into `dir`.
+fn record(dir: &Path, seed: u64) {
+    let mut random = stream(seed, "linear column");
+    let mut between = |low: f64, high: f64| Uniform::new(low, high).expect("a range").sample(&mut random);
+    let mut seeds = (0..2 * EVENTS).map(|_| (between(-1.0, 1.0), between(1.5, 4.0))).collect::<Vec<_>>().into_iter();
+    for event in 1..=EVENTS {
+        for component in ["EW", "NS"] {
+            let (ln_size, corner_hz) = seeds.next().expect("one for each record");
+            let mut random = stream(seed, &format!("linear {event} {component}"));
+            let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
+            let envelope = |i: usize| {
+                let t = i as f64 * DT_S / 4.0;
+                t * t * (2.0 * (1.0 - t)).exp()
+            };
+            let white: Vec<f64> = (0..STEPS).map(|i| envelope(i) * normal()).collect();
+            let shape =
+                |f: f64| f * f / (0.09 + f * f) / (1.0 + (f / corner_hz).powi(2)).sqrt() / (1.0 + (f / 20.0).powi(8));
+            let [mut base] = respond([&white], DT_S, |f, [x]| [x * shape(f)]);
+            let peak = base.iter().fold(0.0, |m: f64, x| m.max(x.abs()));
+            base.iter_mut().for_each(|x| *x *= 0.2 * ln_size.exp() / peak);
+            let moved = |depth_m: f64| -> Vec<f64> {
+                if depth_m >= 30.0 {
+                    return base.clone();
+                }
+                let [motion] = respond([&base], DT_S, |f, [u]| [u * transfer(f, depth_m)]);
+                motion
+            };
+            let recorded = SENSORS.map(|(_, depth_m)| {
+                let motion = moved(depth_m);
+                let rms = (motion.iter().map(|x| x * x).sum::<f64>() / STEPS as f64).sqrt();
+                motion.into_iter().map(|x| x + 0.01 * rms * normal()).collect::<Vec<f64>>()
+            });
+            let mut text = format!("time_s,{}\n", SENSORS.map(|(name, _)| name).join(","));
+            for i in 0..STEPS {
+                let row: Vec<String> = recorded.iter().map(|x| format!("{:.6e}", x[i])).collect();
+                writeln!(text, "{:.2},{}", i as f64 * DT_S, row.join(",")).expect("a string");
+            }
+            std::fs::write(dir.join(format!("L{event}.{component}.csv")), text).expect("written");
+        }
+    }
+}
+
+fn lacks_nothing(seed: u64) {
+    let place = tempfile::tempdir().expect("a folder");
+    record(place.path(), seed);
+    let mut site: toml::Table = toml::from_str(SITE).expect("TOML");
+    let layer = |l: &Layer| {
+        let mut table = toml::Table::new();
+        table.insert("thickness_m".into(), l.thickness_m.into());
+        table.insert("density_kg_m3".into(), l.density_kg_m3.into());
+        table.insert("vs_m_s".into(), l.vs_m_s.into());
+        table.insert("law".into(), "soil".into());
+        toml::Value::from(table)
+    };
+    let output = |(name, depth_m): &(&str, f64)| {
+        toml::Value::from(toml::Table::from_iter([
+            ("name".to_string(), (*name).into()),
+            ("depth_m".to_string(), (*depth_m).into()),
+        ]))
+    };
+    let layers: Vec<toml::Value> = LAYERS.iter().map(layer).collect();
+    let outputs: Vec<toml::Value> = SENSORS[1..].iter().map(output).collect();
+    site["site"].as_table_mut().expect("a table").insert("layer".into(), layers.into());
+    site["sensors"].as_table_mut().expect("a table").insert("output".into(), outputs.into());
+    site["records"].as_table_mut().expect("a table").insert("dir".into(), place.path().display().to_string().into());
+    std::fs::write(place.path().join("linear.toml"), site.to_string()).expect("written");
+    let mut command = assert_cmd::Command::cargo_bin("flare-pipe").expect("the program is built");
+    command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("run").arg(place.path().join("linear.toml"));
+    command.arg("--run-dir").arg(place.path().join("runs")).arg("-q").assert().success();
+    let text = std::fs::read(place.path().join("runs/linear/loop.json")).expect("written");
+    let found: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
+    assert_eq!(found["verdict"], "none", "seed {seed}: {}", found["effects"]);
+    assert_eq!(found["rest"]["verdict"], "noise", "seed {seed}: {}", found["rest"]);
+}
+
+#[test]
+fn a_linear_column_as_declared_lacks_nothing() {
+    lacks_nothing(1);
+}
+
+#[test]
+#[ignore = "minutes on two cores"]
+fn linear_columns_as_declared_lack_nothing() {
+    (2..=6).for_each(lacks_nothing);
+}
