@@ -4,8 +4,9 @@ use super::competition::Competition;
 use super::convention::conventions;
 use super::few::{self, Few};
 use super::forward::{Forward, Prediction};
+use super::intervals::{Member, NORMAL, averaged, half_widths};
 use super::parameters::{Declared, Model};
-use super::posterior::{Fit, Fitter, Start, Stop, normal_probability};
+use super::posterior::{Fit, Fitter, Start, Stop};
 use super::weights::{Spread, band_hz, residual_powers};
 use crate::diagnosis::{
     Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Remainder, Replay, Rest, RestVerdict,
@@ -13,7 +14,6 @@ use crate::diagnosis::{
 };
 use crate::effects::Instance;
 use crate::error::Result;
-use crate::metrics::t_quantile;
 use crate::progress::Progress;
 use crate::records::Split;
 use std::collections::{BTreeMap, BTreeSet};
@@ -22,10 +22,6 @@ use std::collections::{BTreeMap, BTreeSet};
 const NOTHING: f64 = 0.05;
 /// Least probability of a kind, over all models that have it, for it to be named.
 const KNOWN: f64 = 0.9;
-/// Two-sided 95 % quantile of a normal number.
-const NORMAL: f64 = 1.96;
-/// Halvings of what holds a quantile.
-const BISECTIONS: usize = 60;
 /// Most rounds of recalibration, and the change of the column's level (ln) below which they end.
 const RECALIBRATIONS: usize = 4;
 const STILL: f64 = 0.1;
@@ -286,90 +282,6 @@ impl<'a> Answer<'_, 'a> {
     }
 }
 
-/// A model that may hold.
-struct Member<'c, 'a> {
-    fit: &'c Fit<'a>,
-    /// Its probability over that of the answer.
-    odds: f64,
-    /// Of 95 % intervals of its coordinates.
-    half_widths: Vec<f64>,
-}
-
-/// 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`. What else may hold widens them: every member that has
-/// that effect, here or elsewhere, counts by its probability.
-///
-/// ```text
-/// Σ p_m Φ((q − x_m)/s_m) = 0.025 and 0.975, Σ p_m = 1                     (1)
-/// ```
-///
-/// Source: (1) Hoeting et al. (1999), doi 10.1214/ss/1009212519, distribution of an average over models, normal in each.
-fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<[f64; 2]> {
-    let own = &fit.model.effects[index];
-    let alike = |effects: &[Instance]| {
-        let here = effects.iter().position(|e| e.is_one(own));
-        here.or_else(|| effects.iter().position(|e| e.is_alike(own)))
-    };
-    let starts = |m: &Member<'_, '_>| Some(m.fit.model.start(alike(&m.fit.model.effects)?));
-    let found: Vec<(&Member<'_, '_>, usize)> = members.iter().filter_map(|m| Some((m, starts(m)?))).collect();
-    let of = |k: usize| {
-        let parts = found.iter().map(|(m, start)| Normal {
-            weight: m.odds,
-            mean: m.fit.x[start + k],
-            deviation: m.half_widths[start + k] / NORMAL,
-        });
-        let mixture: Vec<Normal> = parts.collect();
-        [0.025, 0.975].map(|p| quantile(&mixture, p))
-    };
-    (0..own.free.len()).map(of).collect()
-}
-
-/// A normal distribution with a weight.
-struct Normal {
-    weight: f64,
-    mean: f64,
-    deviation: f64,
-}
-
-/// Quantile of a mixture.
-fn quantile(mixture: &[Normal], probability: f64) -> f64 {
-    let total: f64 = mixture.iter().map(|n| n.weight).sum();
-    // Where all deviations end: no quantile that is asked for lies beyond.
-    let end = |sign: f64| {
-        let ends = mixture.iter().map(|n| sign * (n.mean + sign * 4.0 * n.deviation));
-        sign * ends.fold(f64::NEG_INFINITY, f64::max)
-    };
-    let [mut low, mut high] = [end(-1.0), end(1.0)];
-    if !(low.is_finite() && high.is_finite()) {
-        return if probability < 0.5 { f64::NEG_INFINITY } else { f64::INFINITY };
-    }
-    for _ in 0..BISECTIONS {
-        let middle = 0.5 * (low + high);
-        let below: f64 = mixture.iter().map(|n| n.weight * normal_probability((middle - n.mean) / n.deviation)).sum();
-        if below < probability * total { low = middle } else { high = middle }
-    }
-    0.5 * (low + high)
-}
-
-/// Half widths of 95 % intervals of the coordinates.
-fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
-    let n = fit.x.len();
-    let covariance = fit.covariance();
-    let left_out = fit.without_each_event(groups);
-    let e = left_out.len() as f64;
-    (0..n)
-        .map(|i| {
-            let curved = NORMAL * covariance.as_ref().map_or(f64::INFINITY, |c| c[(i, i)].sqrt());
-            if left_out.len() < 2 {
-                return curved;
-            }
-            let mean = left_out.iter().map(|x| x[i]).sum::<f64>() / e;
-            let square: f64 = left_out.iter().map(|x| (x[i] - mean).powi(2)).sum();
-            let jackknife = ((e - 1.0) / e * square).sqrt() * t_quantile(0.975, left_out.len() - 1);
-            curved.max(jackknife)
-        })
-        .collect()
-}
-
 /// Kinds that are there with a probability of [`KNOWN`] by `mass`, that of each set of kinds; as often as is that probable.
 ///
 /// Source: Barbieri & Berger (2004), doi 10.1214/009053604000000238, for models of what is probable by itself.
@@ -496,18 +408,6 @@ mod tests {
         let [low, high] = found.effects[0].parameters["offset_s"].ci95;
         assert!(low <= 0.025 && 0.025 <= high, "{:?}", found.effects[0].parameters);
         assert!(found.explained_share.unwrap() > 0.8, "{:?}", found.explained_share);
-    }
-
-    #[test]
-    fn quantiles_of_a_mixture_are_those_of_its_parts_and_between_them() {
-        let normal = |weight, mean, deviation| Normal { weight, mean, deviation };
-        let alone = [normal(3.0, 2.0, 0.5)];
-        assert!((quantile(&alone, 0.025) - (2.0 - 0.5 * 1.959_964)).abs() < 1e-6);
-        // A tenth of the weight far below: a quarter of that is below its own lower quartile.
-        let two = [normal(0.9, 1.0, 0.01), normal(0.1, -1.0, 0.01)];
-        assert!((quantile(&two, 0.025) - (-1.0 - 0.01 * 0.674_490)).abs() < 1e-6);
-        assert!((quantile(&two, 0.975) - (1.0 + 0.01 * 1.914_506)).abs() < 1e-4, "{}", quantile(&two, 0.975));
-        assert_eq!(quantile(&[normal(1.0, 0.0, f64::INFINITY)], 0.975), f64::INFINITY);
     }
 
     #[test]

@@ -19,6 +19,7 @@ mod convention;
 mod covariance;
 mod few;
 mod forward;
+mod intervals;
 #[cfg(test)]
 mod made_up;
 mod parameters;
