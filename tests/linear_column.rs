@@ -3,6 +3,10 @@
 //!
 //! All seeds: `cargo test --release --test linear_column -- --ignored`.
 
+#[path = "support/diagnosed_site.rs"]
+mod diagnosed_site;
+
+use diagnosed_site::diagnosed;
 use flare_pipe::numerics::random::stream;
 use flare_pipe::numerics::spectrum::respond;
 use rand_distr::{Distribution, StandardNormal, Uniform};
@@ -40,21 +44,6 @@ components = ["EW", "NS"]
 train = ["L1", "L2", "L3", "L4"]
 validation = ["L5", "L6"]
 test = ["L7", "L8"]
-[motions]
-count = 20
-seed = 1
-duration_s = 15.0
-bands = [{ count = 20, min_pga_g = 0.01, max_pga_g = 0.03 }]
-train = "1-16"
-validation = "17-20"
-[pretrain]
-window = 3
-latent = 6
-channels = 16
-step_s = 0.05
-[distill]
-window = 5
-[calibrate]
 "#;
 
 struct Layer {
@@ -95,10 +84,9 @@ fn transfer(f_hz: f64, depth_m: f64) -> C64 {
 fn record(dir: &Path, seed: u64) {
     let mut random = stream(seed, "linear column");
     let mut between = |low: f64, high: f64| Uniform::new(low, high).expect("a range").sample(&mut random);
-    let mut seeds = (0..2 * EVENTS).map(|_| (between(-1.0, 1.0), between(1.5, 4.0))).collect::<Vec<_>>().into_iter();
     for event in 1..=EVENTS {
         for component in ["EW", "NS"] {
-            let (ln_size, corner_hz) = seeds.next().expect("one for each record");
+            let (ln_size, corner_hz) = (between(-1.0, 1.0), between(1.5, 4.0));
             let mut random = stream(seed, &format!("linear {event} {component}"));
             let mut normal = || -> f64 { StandardNormal.sample(&mut random) };
             let envelope = |i: usize| {
@@ -136,32 +124,15 @@ fn record(dir: &Path, seed: u64) {
 fn lacks_nothing(seed: u64) {
     let place = tempfile::tempdir().expect("a folder");
     record(place.path(), seed);
-    let mut site: toml::Table = toml::from_str(SITE).expect("TOML");
-    let layer = |l: &Layer| {
-        let mut table = toml::Table::new();
-        table.insert("thickness_m".into(), l.thickness_m.into());
-        table.insert("density_kg_m3".into(), l.density_kg_m3.into());
-        table.insert("vs_m_s".into(), l.vs_m_s.into());
-        table.insert("law".into(), "soil".into());
-        toml::Value::from(table)
-    };
-    let output = |(name, depth_m): &(&str, f64)| {
-        toml::Value::from(toml::Table::from_iter([
-            ("name".to_string(), (*name).into()),
-            ("depth_m".to_string(), (*depth_m).into()),
-        ]))
-    };
-    let layers: Vec<toml::Value> = LAYERS.iter().map(layer).collect();
-    let outputs: Vec<toml::Value> = SENSORS[1..].iter().map(output).collect();
-    site["site"].as_table_mut().expect("a table").insert("layer".into(), layers.into());
-    site["sensors"].as_table_mut().expect("a table").insert("output".into(), outputs.into());
-    site["records"].as_table_mut().expect("a table").insert("dir".into(), place.path().display().to_string().into());
-    std::fs::write(place.path().join("linear.toml"), site.to_string()).expect("written");
-    let mut command = assert_cmd::Command::cargo_bin("flare-pipe").expect("the program is built");
-    command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("run").arg(place.path().join("linear.toml"));
-    command.arg("--run-dir").arg(place.path().join("runs")).arg("-q").assert().success();
-    let text = std::fs::read(place.path().join("runs/linear/loop.json")).expect("written");
-    let found: serde_json::Value = serde_json::from_slice(&text).expect("JSON");
+    let mut site = SITE.to_string();
+    for Layer { thickness_m, vs_m_s, density_kg_m3 } in LAYERS {
+        let values = format!("thickness_m = {thickness_m:?}\nvs_m_s = {vs_m_s:?}\ndensity_kg_m3 = {density_kg_m3:?}");
+        writeln!(site, "[[site.layer]]\nlaw = \"soil\"\n{values}").expect("a string");
+    }
+    for (name, depth_m) in &SENSORS[1..] {
+        writeln!(site, "[[sensors.output]]\nname = \"{name}\"\ndepth_m = {depth_m:?}").expect("a string");
+    }
+    let found = diagnosed(&site, place.path());
     assert_eq!(found["verdict"], "none", "seed {seed}: {}", found["effects"]);
     assert_eq!(found["rest"]["verdict"], "noise", "seed {seed}: {}", found["rest"]);
 }
