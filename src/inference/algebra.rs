@@ -22,38 +22,14 @@ pub fn ln_determinant(a: &Mat<f64>) -> Option<f64> {
     Some((0..a.nrows()).map(|i| 2.0 * l[(i, i)].ln()).sum())
 }
 
-/// What is left of the normal equations `g` beside unknowns with the prior covariance L Lᵀ, of which `cross` = Lᵀ G_gk has the
-/// products with what is kept and `inner` = Lᵀ G_gg L those among themselves.
-///
-/// ```text
-/// G' = G_kk − G_kg L (I + Lᵀ G_gg L)⁻¹ Lᵀ G_gk                           (1)
-/// ```
-///
-/// `None` where I + Lᵀ G_gg L is not positive definite.
-fn marginal(kept: &Mat<f64>, cross: &Mat<f64>, inner: &Mat<f64>) -> Option<Mat<f64>> {
-    let m = inner.nrows();
-    let whole = Mat::from_fn(m, m, |i, j| inner[(i, j)] + f64::from(u8::from(i == j)));
-    let factor = whole.llt(Side::Lower).ok()?;
-    Some(kept - cross.transpose() * factor.solve(cross))
-}
-
-/// `g` when its unknowns `gone` are marginalised beside a prior of precision `precision` on each of them; the others keep their order.
-pub fn without(g: &Mat<f64>, gone: &[usize], precision: &[f64]) -> Option<Mat<f64>> {
-    let kept: Vec<usize> = (0..g.nrows()).filter(|i| !gone.contains(i)).collect();
-    let scale: Vec<f64> = precision.iter().map(|p| 1.0 / p.sqrt()).collect();
-    let (m, n) = (gone.len(), kept.len());
-    let inner = Mat::from_fn(m, m, |i, j| g[(gone[i], gone[j])] * scale[i] * scale[j]);
-    let cross = Mat::from_fn(m, n, |i, j| g[(gone[i], kept[j])] * scale[i]);
-    marginal(&Mat::from_fn(n, n, |i, j| g[(kept[i], kept[j])]), &cross, &inner)
-}
-
 /// gᵀ d − ½ dᵀ A d within bounds of d.
+#[derive(Clone)]
 pub struct Quadratic {
     /// A, symmetric positive definite.
     pub a: Mat<f64>,
     /// g.
     pub gradient: Vec<f64>,
-    /// Smallest and largest value of each unknown, nothing between them.
+    /// Smallest and largest value of each unknown.
     pub bounds: Vec<[f64; 2]>,
     /// A size of each unknown.
     pub size: Vec<f64>,
@@ -117,20 +93,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn elimination_leaves_the_normal_equations_of_what_is_kept() {
+    fn the_highest_place_is_that_of_a_fine_grid_within_bounds() {
+        let a = Mat::from_fn(2, 2, |i, j| [[2.0, 0.9], [0.9, 1.0]][i][j]);
+        let quadratic =
+            Quadratic { a, gradient: vec![1.0, 1.5], bounds: vec![[-1.0, 1.0], [-0.5, 0.8]], size: vec![1.0, 1.0] };
+        let (d, value) = quadratic.highest(f64::INFINITY).unwrap();
+        let at = |x: f64, y: f64| x + 1.5 * y - 0.5 * (2.0 * x * x + 1.8 * x * y + y * y);
+        let on = |k: i32, [low, high]: [f64; 2]| low + (high - low) * f64::from(k) / 400.0;
+        let places = (0..=400).flat_map(|i| (0..=400).map(move |j| (i, j)));
+        let highest = places.map(|(i, j)| at(on(i, quadratic.bounds[0]), on(j, quadratic.bounds[1])));
+        assert!((value - highest.fold(f64::NEG_INFINITY, f64::max)).abs() < 1e-4);
+        assert!((at(d[0], d[1]) - value).abs() < 1e-12 && d[1] == 0.8, "{d:?}");
+    }
+
+    #[test]
+    fn solutions_inverses_and_determinants_agree() {
         let z = Mat::from_fn(9, 4, |i, j| ((3 * i + 5 * j * j + i * j) as f64).sin());
         let g = z.transpose() * &z;
-        let left = without(&g, &[1, 2], &[2.0, 0.5]).unwrap();
         let mut whole = g.clone();
         whole[(1, 1)] += 2.0;
         whole[(2, 2)] += 0.5;
         let all = inverse(&whole).unwrap();
-        let own = inverse(&left).unwrap();
-        for (i, a) in [0, 3].into_iter().enumerate() {
-            for (j, b) in [0, 3].into_iter().enumerate() {
-                assert!((own[(i, j)] - all[(a, b)]).abs() < 1e-9);
-            }
-        }
+        // What unknowns know beside others that give way is the inverse of their block of the inverse.
+        let kept = Mat::from_fn(2, 2, |i, j| all[([0, 3][i], [0, 3][j])]);
+        let gone = Mat::from_fn(2, 2, |i, j| whole[(i + 1, j + 1)]);
+        let beside = ln_determinant(&whole).unwrap() - ln_determinant(&gone).unwrap();
+        assert!((ln_determinant(&inverse(&kept).unwrap()).unwrap() - beside).abs() < 1e-9);
         assert!((inverse(&g).unwrap() * &g - Mat::<f64>::identity(4, 4)).norm_max() < 1e-9);
         let x = solved(&whole, &[1.0, 2.0, 3.0, 4.0]).unwrap();
         assert!((0..4).all(|i| ((0..4).map(|j| whole[(i, j)] * x[j]).sum::<f64>() - (i + 1) as f64).abs() < 1e-9));

@@ -16,7 +16,7 @@ use super::weights::{Rows, Spread, Weights};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
-use proposals::{NODES, Proposal, away, distinct, rivals};
+use proposals::{NODES, Proposal, away, distinct};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -64,7 +64,7 @@ pub struct Competition<'a> {
     few: Few<'a>,
     instances: Vec<Instance>,
     /// ln of the prior of an effect at a place, by kind.
-    ln_place: BTreeMap<&'static str, f64>,
+    ln_prior: BTreeMap<&'static str, f64>,
     max_effects: usize,
     /// Everything that was fitted, what is declared first.
     pub fits: Vec<Fit<'a>>,
@@ -81,12 +81,8 @@ impl<'a> Competition<'a> {
         };
         let instances: Vec<Instance> = effects::instances(array).into_iter().filter(acts).collect();
         let unnamed = effects::unnamed(array);
-        let mut places: BTreeMap<&'static str, f64> = BTreeMap::new();
-        let all = instances.iter().chain(&unnamed);
-        all.for_each(|i| *places.entry(i.kind).or_default() += 1.0);
-        let kinds = places.len() as f64;
-        let ln_place = places.iter().map(|(kind, n)| (*kind, -(kinds * n).ln())).collect();
-        Self { fitter, few, instances, ln_place, max_effects, fits: vec![declared], expanded: Vec::new() }
+        let ln_prior = ln_prior(fitter.forward, instances.iter().chain(&unnamed));
+        Self { fitter, few, instances, ln_prior, max_effects, fits: vec![declared], expanded: Vec::new() }
     }
 
     /// ln of the posterior of a fitted model up to a constant.
@@ -94,16 +90,9 @@ impl<'a> Competition<'a> {
         fit.log_evidence() + fit.model.effects.iter().map(|e| self.prior_of(e)).sum::<f64>()
     }
 
-    /// ln of the prior of an effect; each number that it takes from a record is one more that is fitted to it (Schwarz, 1978,
-    /// doi 10.1214/aos/1176344136).
+    /// ln of the prior of an effect.
     fn prior_of(&self, instance: &Instance) -> f64 {
-        let forward = self.fitter.forward;
-        let values = forward.records.iter().map(|at| 2.0 * forward.frequencies_hz(*at).len() as f64);
-        let hidden = match instance.hidden() {
-            0 => 0.0,
-            count => count as f64 * values.map(|n| 0.5 * n.ln()).sum::<f64>(),
-        };
-        self.ln_place.get(instance.kind).copied().unwrap_or(-10.0) + ONE_MORE.ln() - hidden
+        self.ln_prior.get(instance.kind).copied().unwrap_or(-10.0) + ONE_MORE.ln()
     }
 
     /// What a model predicts by its named effects alone.
@@ -256,8 +245,14 @@ impl<'a> Competition<'a> {
 
     /// Fits the most promising candidates beside the fitted model with `effects`.
     fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
-        let base = self.fit_part(&effects)?;
-        self.keep(base.clone());
+        let base = match self.known(&effects) {
+            Some(index) => self.fits[index].clone(),
+            None => {
+                let fit = self.fitter.fit(self.part(&effects), Stop::CLOSE)?;
+                self.keep(fit.clone());
+                fit
+            }
+        };
         let look = if is_same_set(&effects, &self.best_named().model.effects) { Look::AtRivals } else { Look::Near };
         self.expanded.push(effects);
         let by = self.few.fitter(&self.fitter);
@@ -323,9 +318,8 @@ impl<'a> Competition<'a> {
             let is_far = look == Look::Far;
             if is_far { fitter.fit_from_afar(start, FAR_HEAT) } else { fitter.fit(start, HEAT) }.ok()
         };
-        let rivals = rivals(&base.model, instead);
         let rivals =
-            rivals.into_iter().filter_map(|set| by.fit_from_afar(Self::from_declared(base, set), FAR_HEAT).ok());
+            instead.into_iter().filter_map(|set| by.fit_from_afar(Self::from_declared(base, set), FAR_HEAT).ok());
         distinct(singles).into_iter().chain(pairs).filter_map(fitted).chain(rivals).collect()
     }
 
@@ -401,8 +395,11 @@ impl<'a> Competition<'a> {
         loop {
             let best = self.best_named().model.effects.clone();
             for part in (0..best.len()).map(|i| [&best[..i], &best[i + 1..]].concat()) {
-                if self.known(&part).is_some() {
-                    let fit = self.fit_part(&part)?;
+                let Some(index) = self.known(&part) else { continue };
+                let start = self.part(&part);
+                let there = self.fitter.cost_at(&start.model, start.x.clone());
+                if there.is_ok_and(|cost| cost < self.fits[index].cost) {
+                    let fit = self.fitter.fit(start, Stop::CLOSE)?;
                     self.keep(fit);
                 }
             }
@@ -412,9 +409,8 @@ impl<'a> Competition<'a> {
         }
     }
 
-    /// The fit with `effects`, some of those of the best model: the one that is known, or one from where the best model is if that is better
-    /// already without the others.
-    fn fit_part(&self, effects: &[Instance]) -> Result<Fit<'a>> {
+    /// Where a fit with `effects`, some of those of the best model, starts from where that one is.
+    fn part(&self, effects: &[Instance]) -> Start<'a> {
         let best = self.best_named();
         let n = best.model.declared.len();
         let mut x = best.x[..n].to_vec();
@@ -426,13 +422,7 @@ impl<'a> Competition<'a> {
             slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
-        if let Some(known) = self.known(effects).map(|i| &self.fits[i]) {
-            let there = self.fitter.predict(&model, &x).map(|p| self.fitter.nll(&p) + Fitter::prior(&model, &x));
-            if there.map_or(true, |cost| cost >= known.cost) {
-                return Ok(known.clone());
-            }
-        }
-        self.fitter.fit(Start { slopes, ..Start::at(model, x) }, Stop::CLOSE)
+        Start { slopes, ..Start::at(model, x) }
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.
@@ -462,6 +452,21 @@ impl<'a> Competition<'a> {
         let gained = self.log_posterior(fit) - self.log_posterior(&self.fits[0]);
         format!("{}: ln odds {gained:+.1} against nothing missing; {}", named.join("+ "), self.replays())
     }
+}
+
+/// ln of the prior of an effect at one of its places among `all` of them, by kind: kinds are as probable as each other, and so are the
+/// places of each. Each number that an effect takes from a record is one more that is fitted to it.
+///
+/// Source: Schwarz (1978), doi 10.1214/aos/1176344136, for ½ ln n a fitted number.
+fn ln_prior<'i>(forward: &Forward<'_>, all: impl Iterator<Item = &'i Instance>) -> BTreeMap<&'static str, f64> {
+    let mut places: BTreeMap<&'static str, (f64, f64)> = BTreeMap::new();
+    for instance in all {
+        places.entry(instance.kind).or_insert((0.0, instance.hidden() as f64)).0 += 1.0;
+    }
+    let values = forward.records.iter().map(|at| 2.0 * forward.frequencies_hz(*at).len() as f64);
+    let by_number: f64 = values.map(|n| 0.5 * n.ln()).sum();
+    let kinds = places.len() as f64;
+    places.into_iter().map(|(kind, (n, hidden))| (kind, -(kinds * n).ln() - hidden * by_number)).collect()
 }
 
 /// Whether two sets hold the same effects in any order.

@@ -1,8 +1,8 @@
 //! Intervals of the parameters of effects: of one model, and over all that may hold.
 
-use super::posterior::{Fit, normal_probability};
+use super::posterior::Fit;
 use crate::effects::Instance;
-use crate::metrics::t_quantile;
+use crate::metrics::{normal_probability, t_quantile};
 
 /// Two-sided 95 % quantile of a normal number.
 pub const NORMAL: f64 = 1.96;

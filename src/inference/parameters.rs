@@ -334,6 +334,11 @@ impl<'a> Model<'a> {
         (0..self.declared.len()).map(|i| self.declared.bounds(i)).chain(effects).collect()
     }
 
+    /// How far each coordinate can move either way from `x`.
+    pub fn room(&self, x: &[f64]) -> Vec<[f64; 2]> {
+        self.bounds().into_iter().zip(x).map(|([low, high], x)| [low - x, high - x]).collect()
+    }
+
     /// Whether coordinate `i` is at an end of its range at `x`: closer to it than a finite difference is long.
     pub fn is_at_end(&self, x: &[f64], i: usize) -> bool {
         let (step, [low, high]) = (STEP * self.prior()[i][1], self.bounds()[i]);
@@ -358,8 +363,8 @@ impl<'a> Model<'a> {
     pub fn step(&self, x: &[f64], i: usize) -> f64 {
         let [low, high] = self.bounds()[i];
         // The phase of a line turns within the resolution of the records.
-        let lines = self.effects.iter().enumerate().filter_map(|(e, effect)| Some(self.start(e) + effect.line()?));
-        let is_line = lines.into_iter().any(|line| line == i);
+        let line = |(e, effect): (usize, &Instance)| Some(self.start(e) + effect.line()?);
+        let is_line = self.effects.iter().enumerate().filter_map(line).any(|line| line == i);
         let size = STEP * if is_line { self.declared.resolution_hz } else { self.prior()[i][1] };
         let toward = if high - x[i] >= x[i] - low { 1.0 } else { -1.0 };
         toward * size.min(0.5 * (high - low))

@@ -8,6 +8,7 @@ use super::forward::{Forward, Prediction, channels, lock};
 use super::parameters::Model;
 use super::weights::{self, Rows, Spread, Weights, band_hz};
 use crate::error::Result;
+use crate::metrics::{normal_probability, scaled_tail};
 use faer::Mat;
 use rayon::prelude::*;
 use slopes::Axes;
@@ -224,6 +225,14 @@ impl<'a> Fitter<'a> {
         normal(&slopes, &self.counted(rows))
     }
 
+    /// −ln of the posterior density of `model` at `x`, constants apart.
+    ///
+    /// # Errors
+    /// When the column cannot be replayed.
+    pub fn cost_at(&self, model: &Model<'a>, x: Vec<f64>) -> Result<f64> {
+        Ok(self.cost(model, &self.point(model, x)?))
+    }
+
     /// −ln of the posterior density at `at`, constants apart.
     fn cost(&self, model: &Model<'_>, at: &Point) -> f64 {
         0.5 * square(&self.counted(&at.rows)) + at.constant + Self::prior(model, &at.x)
@@ -368,11 +377,10 @@ pub fn gradient(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> Vec<f64> {
 
 /// The step from `x` within `radius` prior standard deviations and the bounds, and what it is expected to gain.
 fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f64) {
-    let bounds = model.bounds().into_iter().zip(x).map(|([low, high], x)| [low - x, high - x]);
     let quadratic = Quadratic {
         a: information(model, g),
         gradient: gradient(model, x, g),
-        bounds: bounds.collect(),
+        bounds: model.room(x),
         size: model.prior().iter().map(|[_, sd]| *sd).collect(),
     };
     let Some((dx, gain)) = quadratic.highest(radius) else { return (x.to_vec(), 0.0) };
@@ -421,28 +429,6 @@ fn occam(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> f64 {
 fn is_pushed(model: &Model<'_>, x: &[f64], i: usize, slope: f64) -> bool {
     let [low, high] = model.bounds()[i];
     model.is_at_end(x, i) && (slope > 0.0) == (high - x[i] < x[i] - low)
-}
-
-/// exp(k²/2) Φ(−k) for k ≥ 0.
-///
-/// Source: Abramowitz and Stegun (1964), 26.2.14, for large k.
-fn scaled_tail(k: f64) -> f64 {
-    if k < 3.0 {
-        return (0.5 * k * k).exp() * normal_probability(-k);
-    }
-    let fraction = (1..=20).rev().fold(k, |below, m| k + f64::from(m) / below);
-    1.0 / (fraction * (2.0 * std::f64::consts::PI).sqrt())
-}
-
-/// Probability that a standard normal number is below `z`.
-///
-/// Source: Abramowitz and Stegun (1964), 26.2.17; error below 7.5e-8.
-pub fn normal_probability(z: f64) -> f64 {
-    let t = 1.0 / (1.0 + 0.231_641_9 * z.abs());
-    let series =
-        t * (0.319_381_530 + t * (-0.356_563_782 + t * (1.781_477_937 + t * (-1.821_255_978 + t * 1.330_274_429))));
-    let tail = (-0.5 * z * z).exp() / (2.0 * std::f64::consts::PI).sqrt() * series;
-    if z >= 0.0 { 1.0 - tail } else { tail }
 }
 
 #[cfg(test)]
@@ -650,13 +636,6 @@ mod tests {
             }
             let expected = (of_posterior / of_prior).ln();
             assert!((found - expected).abs() < 0.02, "{top}: {found} {expected}");
-        }
-    }
-
-    #[test]
-    fn normal_probabilities_are_those_of_tables() {
-        for (z, p) in [(0.0, 0.5), (1.0, 0.841_344_7), (-1.959_964, 0.025), (3.0, 0.998_650_1)] {
-            assert!((normal_probability(z) - p).abs() < 1e-6, "{z}");
         }
     }
 }

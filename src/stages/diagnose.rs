@@ -26,7 +26,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        39
+        40
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -26,7 +26,7 @@ pub struct TwinThresholds;
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 37);
+const TWIN: (&str, u32) = ("twin", 38);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -85,7 +85,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        36
+        37
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -1,4 +1,5 @@
-//! Which candidates are worth a fit beside a model: each at every place, alone and in pairs, by the linear problem around that model.
+//! Which candidates are worth a fit beside a model: each at every place, alone, in pairs and in the place of an effect that is there, by the
+//! linear problem around that model.
 
 use super::{Competition, HEATS, Look, TOLD};
 use crate::effects::{self, Instance};
@@ -41,7 +42,7 @@ struct Node {
 /// A candidate's node and how the residuals of a point change towards it.
 struct Direction {
     node: Node,
-    change: Rows,
+    change: Arc<Rows>,
 }
 
 /// An effect of a proposal.
@@ -49,8 +50,18 @@ pub(super) struct Part {
     pub instance: Instance,
     /// Coordinates to start from.
     start: Vec<f64>,
-    /// Slopes along them, as far as they are known.
-    pub slopes: Vec<Option<Arc<Rows>>>,
+    /// Coordinates of the node that the linear problem took it along, and how residuals change towards that.
+    along: Option<(Vec<f64>, Arc<Rows>)>,
+}
+
+impl Part {
+    /// Slopes of its coordinates as far as they are known: along the one that differs at its node.
+    fn slopes(&self) -> Vec<Option<Arc<Rows>>> {
+        let zero = self.instance.zero().unwrap_or_default();
+        let Some((at, change)) = &self.along else { return vec![None; self.start.len()] };
+        let of = |(a, b): (&f64, &f64)| (a != b).then(|| Arc::new(combined(change, change, 1.0 / (b - a), 0.0)));
+        zero.iter().zip(at).map(of).collect()
+    }
 }
 
 /// Candidates that are worth a fit.
@@ -94,16 +105,12 @@ impl<'a> Competition<'a> {
             x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
             x
         };
-        let cost = |x: &Vec<f64>| {
-            let found = by.predict(&model, x);
-            found.map_or(f64::INFINITY, |p| by.nll(&p) + Fitter::prior(&model, x))
-        };
+        let cost = |x: &Vec<f64>| by.cost_at(&model, x.clone()).unwrap_or(f64::INFINITY);
         let all = [at(1.0), at(0.5), at(0.0)];
         let costs = [cost(&all[0]), cost(&all[1]), cost(&all[2])];
         let best = (0..all.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
         let x = all.into_iter().nth(best).unwrap_or_default();
-        let slopes =
-            kept.iter().map(|i| Some(base.slopes[*i].clone())).chain(set.parts.into_iter().flat_map(|p| p.slopes));
+        let slopes = kept.iter().map(|i| Some(base.slopes[*i].clone())).chain(set.parts.iter().flat_map(Part::slopes));
         Start { slopes: slopes.collect(), ..Start::at(model, x) }
     }
 
@@ -134,10 +141,14 @@ impl<'a> Competition<'a> {
             self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && i.hidden() == 0;
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
-        let mut proposals: Vec<Proposal> = Self::nodes(&discrete, NODES[0], false)
-            .into_iter()
-            .filter_map(|node| self.discrete(by, base, Self::at_line(by, base, node)))
-            .collect();
+        let n_effect = base.model.effects.len();
+        let n_open = self.max_effects.saturating_sub(n_effect);
+        let discrete = if n_open > 0 { Self::nodes(&discrete, NODES[0], false) } else { Vec::new() };
+        let discrete = discrete.into_iter().map(|node| Self::at_line(by, base, node));
+        let mut proposals: Vec<Proposal> = discrete.filter_map(|node| self.discrete(by, base, node)).collect();
+        if n_open == 0 && look != Look::AtRivals {
+            return proposals;
+        }
         let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| Self::direction(by, base, n)).collect();
         // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
         // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
@@ -149,18 +160,20 @@ impl<'a> Competition<'a> {
             let further = self.further(by, base, &all);
             all.extend::<Vec<Direction>>(along(further));
         }
-        let Some(beside) = Linear::new(by, base, &all, None) else { return proposals };
-        let singles = self.singles(&beside);
-        let n_effect = base.model.effects.len();
-        if n_effect + 2 <= self.max_effects {
-            proposals.extend(self.pairs(&beside, &singles));
-        }
-        if n_effect < self.max_effects {
+        let Some(beside) = Linear::new(by, base, &all) else { return proposals };
+        if n_open > 0 {
+            let singles = self.singles(&beside, |_| true);
+            if n_open > 1 {
+                proposals.extend(self.pairs(&beside, &singles));
+            }
             proposals.extend(singles.into_iter().map(|(_, single)| single));
         }
         let replaceable = if look == Look::AtRivals { 0..n_effect } else { 0..0 };
-        for linear in replaceable.filter_map(|i| Linear::new(by, base, &all, Some(i))) {
-            proposals.extend(self.singles(&linear).into_iter().map(|(_, single)| single));
+        for (index, instead) in replaceable.filter_map(|index| Some((index, beside.instead_of(index)?))) {
+            let own = &base.model.effects[index];
+            let mut places: BTreeMap<String, usize> = BTreeMap::new();
+            let singles = self.singles(&instead, |other| is_rival(own, other)).into_iter().map(|(_, single)| single);
+            proposals.extend(singles.filter(|p| is_among_best(&mut places, &p.parts[0].instance)));
         }
         proposals
     }
@@ -177,7 +190,7 @@ impl<'a> Competition<'a> {
     fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
         let there = Self::predicted(by, base, &node)?;
         let change = combined(&by.rows(&there).0, &base.rows, 1.0, -1.0);
-        Some(Direction { node, change })
+        Some(Direction { node, change: Arc::new(change) })
     }
 
     /// [`Self::direction`] towards the node, or towards one so strong that the records tell what it does.
@@ -217,22 +230,19 @@ impl<'a> Competition<'a> {
         let there = Self::predicted(by, base, &node)?;
         let cost = by.nll(&there) + Fitter::prior(&base.model, &base.x);
         let log_posterior = self.log_posterior(base) + base.cost - cost + self.prior_of(&node.instance);
-        let slopes = vec![None; node.at.len()];
-        let part = Part { instance: node.instance, start: node.at, slopes };
+        let part = Part { instance: node.instance, start: node.at, along: None };
         Some(Proposal { parts: vec![part], instead_of: None, beside: base.x.clone(), log_posterior })
     }
 
     /// Further nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point.
     fn further(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction]) -> Vec<Node> {
-        let mut forms: BTreeMap<String, usize> = BTreeMap::new();
+        let mut places: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();
         let mut found = 0;
-        let Some(linear) = Linear::new(by, base, directions, None) else { return nodes };
-        for (_, single) in self.singles(&linear) {
+        let Some(linear) = Linear::new(by, base, directions) else { return nodes };
+        for (_, single) in self.singles(&linear, |_| true) {
             let Part { instance, start: toward, .. } = &single.parts[0];
-            let count = forms.entry(form(instance)).or_default();
-            *count += 1;
-            if *count > PLACES || found == SHORTLIST {
+            if !is_among_best(&mut places, instance) || found == SHORTLIST {
                 continue;
             }
             found += 1;
@@ -247,11 +257,11 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// Each candidate at its best node by the linear problem, best first, and the direction that it is.
-    fn singles(&self, linear: &Linear<'_, 'a>) -> Vec<(usize, Proposal)> {
+    /// Each candidate that `is_meant` takes at its best node by the linear problem, best first, and the direction that it is.
+    fn singles(&self, linear: &Linear<'_, 'a>, is_meant: impl Fn(&Instance) -> bool) -> Vec<(usize, Proposal)> {
         let instance = |i: usize| &linear.directions[i].node.instance;
         let mut best: Vec<(usize, Proposal)> = Vec::new();
-        for i in 0..linear.directions.len() {
+        for i in (0..linear.directions.len()).filter(|i| is_meant(instance(*i))) {
             let Some(found) = self.proposal(linear, &[i]) else { continue };
             match best.iter_mut().find(|(k, _)| instance(*k) == instance(i)) {
                 Some((_, known)) if known.log_posterior >= found.log_posterior => {}
@@ -292,18 +302,16 @@ struct Linear<'c, 'a> {
     instead_of: Option<usize>,
     /// ln of the density over what is there: coordinates, then directions in units of their nodes.
     density: Quadratic,
-    /// Information on the directions where the coordinates have given way.
-    left: Mat<f64>,
-    /// ln of the share of the prior of the coordinates that the records leave.
-    occam: f64,
+    /// Coordinates that give way: what stands at an end of its range does not.
+    beside: Vec<usize>,
 }
 
 impl<'c, 'a> Linear<'c, 'a> {
-    /// None where effect `instead_of` cannot be taken back to nothing along its coordinates, or the linear problem has no solution.
-    fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction], instead_of: Option<usize>) -> Option<Self> {
+    /// None where the linear problem has no solution.
+    fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction]) -> Option<Self> {
         let (n, count) = (base.x.len(), directions.len());
         let slopes: Vec<Arc<Rows>> =
-            base.slopes.iter().cloned().chain(directions.iter().map(|d| Arc::new(d.change.clone()))).collect();
+            base.slopes.iter().cloned().chain(directions.iter().map(|d| d.change.clone())).collect();
         let own = by.normal(&slopes, &base.rows);
         // The unit of a direction is its node.
         let deviations = base.model.prior().into_iter().map(|[_, sd]| sd);
@@ -311,47 +319,52 @@ impl<'c, 'a> Linear<'c, 'a> {
         let a = |i: usize, j: usize| own[(i, j)] + if i == j { size[i].powi(-2) } else { 0.0 };
         let mut gradient = gradient(&base.model, &base.x, &own);
         gradient.extend((n..n + count).map(|i| own[(i, n + count)]));
-        let mut bounds: Vec<[f64; 2]> =
-            base.model.bounds().into_iter().zip(&base.x).map(|([low, high], x)| [low - x, high - x]).collect();
-        if let Some(index) = instead_of {
-            let zero = base.model.effects[index].zero()?;
-            base.model.coordinates_of(index).zip(zero).for_each(|(i, zero)| bounds[i] = [zero - base.x[i]; 2]);
-        }
-        let far = directions.iter().map(|d| [if d.node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST]);
-        bounds.extend(far);
-        let density = Quadratic { a: Mat::from_fn(n + count, n + count, a), gradient, bounds, size };
-        // What stands at an end of its range does not give way.
-        let (moved, _) = density.of(&(0..n).collect::<Vec<_>>()).highest(f64::INFINITY)?;
-        let beside: Vec<usize> = (0..n).filter(|i| !density.bounds[*i].contains(&moved[*i])).collect();
-        let kept = [&beside[..], &(n..n + count).collect::<Vec<_>>()].concat();
-        let precision: Vec<f64> = beside.iter().map(|i| density.size[*i].powi(-2)).collect();
-        let own = Mat::from_fn(kept.len(), kept.len(), |i, j| own[(kept[i], kept[j])]);
-        let left = algebra::without(&own, &(0..beside.len()).collect::<Vec<_>>(), &precision)?;
-        let information = algebra::ln_determinant(&density.of(&beside).a)?;
-        let occam = -0.5 * (information - precision.iter().map(|p| p.ln()).sum::<f64>());
-        Some(Self { base, directions, instead_of, density, left, occam })
+        let mut bounds = base.model.room(&base.x);
+        bounds.extend(directions.iter().map(|d| [if d.node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST]));
+        Self::of(base, directions, None, Quadratic { a: Mat::from_fn(n + count, n + count, a), gradient, bounds, size })
+    }
+
+    /// The same with effect `index` of the model taken back to nothing; none where it cannot be along its coordinates.
+    fn instead_of(&self, index: usize) -> Option<Self> {
+        let Self { base, directions, .. } = *self;
+        let zero = base.model.effects[index].zero()?;
+        let mut density = self.density.clone();
+        let coordinates = base.model.coordinates_of(index);
+        coordinates.zip(zero).for_each(|(i, zero)| density.bounds[i] = [zero - base.x[i]; 2]);
+        Self::of(base, directions, Some(index), density)
+    }
+
+    fn of(
+        base: &'c Fit<'a>,
+        directions: &'c [Direction],
+        instead_of: Option<usize>,
+        density: Quadratic,
+    ) -> Option<Self> {
+        let all: Vec<usize> = (0..base.x.len()).collect();
+        let (moved, _) = density.of(&all).highest(f64::INFINITY)?;
+        let beside = all.into_iter().filter(|i| !density.bounds[*i].contains(&moved[*i])).collect();
+        Some(Self { base, directions, instead_of, density, beside })
     }
 
     /// A `set` of directions as far as the records lead, the coordinates where they give way to that; `None` where the directions are one.
     ///
     /// ```text
-    /// ln p = −cost + max − ½ ln det(I + Λ⁻¹ A) − ½ ln det(I + E⁻¹ L)          (1)
+    /// ln p = −cost + max − ½ ln det(I + Λ⁻¹ A)                                 (1)
     /// ```
     ///
-    /// A and Λ are what the records and the prior know of the coordinates, L and E of the directions beside these.
+    /// A and Λ are what the records and the prior know of the coordinates that give way and of the directions.
     fn proposal(&self, set: &[usize]) -> Option<Proposal> {
-        let (n, k) = (self.base.x.len(), set.len());
-        let unknowns: Vec<usize> = (0..n).chain(set.iter().map(|i| n + i)).collect();
-        let (moved, gain) = self.density.of(&unknowns).highest(f64::INFINITY)?;
-        let distance = |i: usize| self.directions[set[i]].node.distance;
-        let told = |i: usize, j: usize| self.left[(set[i], set[j])] / (distance(i) * distance(j));
-        let whole = Mat::from_fn(k, k, |i, j| told(i, j) + f64::from(u8::from(i == j)));
+        let n = self.base.x.len();
+        let directions = || set.iter().map(|i| n + i);
+        let (moved, gain) = self.density.of(&(0..n).chain(directions()).collect::<Vec<_>>()).highest(f64::INFINITY)?;
+        let free = self.density.of(&self.beside.iter().copied().chain(directions()).collect::<Vec<_>>());
+        let occam = -0.5 * algebra::ln_determinant(&free.a)? - free.size.iter().map(|size| size.ln()).sum::<f64>();
         let parts = set.iter().zip(&moved[n..]).map(|(i, share)| self.directions[*i].part(*share));
         Some(Proposal {
             parts: parts.collect(),
             instead_of: self.instead_of,
             beside: self.base.x.iter().zip(&moved).map(|(x, d)| x + d).collect(),
-            log_posterior: gain + self.occam - 0.5 * algebra::ln_determinant(&whole)? - self.base.cost,
+            log_posterior: gain + occam - self.base.cost,
         })
     }
 }
@@ -373,9 +386,7 @@ impl Direction {
         let zero = node.instance.zero().unwrap_or_default();
         let at = zero.iter().zip(&node.at).map(|(a, b)| a + share * (b - a));
         let start = at.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
-        // Along the one coordinate that differs at the node.
-        let along = |(a, b): (&f64, &f64)| (a != b).then(|| Arc::new(combined(change, change, 1.0 / (b - a), 0.0)));
-        Part { instance: node.instance.clone(), start, slopes: zero.iter().zip(&node.at).map(along).collect() }
+        Part { instance: node.instance.clone(), start, along: Some((node.at.clone(), change.clone())) }
     }
 }
 
@@ -390,22 +401,17 @@ pub(super) fn away(instance: &Instance, zero: &[f64], size: f64, sign: f64) -> O
     ((at - zero[first]).abs() > 1e-3 * step).then_some(all)
 }
 
-/// Of proposals in the place of an effect of `model`, best first, those that the catalogue knows to be confused with it and its own other
-/// places: the best places of each form.
-pub(super) fn rivals(model: &Model<'_>, proposals: Vec<Proposal>) -> Vec<Proposal> {
-    let mut forms: BTreeMap<(Option<usize>, String), usize> = BTreeMap::new();
-    let is_rival = |p: &Proposal| {
-        let there = p.instead_of.map(|i| model.effects[i].kind);
-        let confused = there.and_then(|kind| effects::find(kind).ok()).map_or(&[][..], |e| e.catalogue.confused_with);
-        let kind = p.parts[0].instance.kind;
-        there == Some(kind) || confused.contains(&kind)
-    };
-    let mut is_among_best = |p: &Proposal| {
-        let count = forms.entry((p.instead_of, form(&p.parts[0].instance))).or_default();
-        *count += 1;
-        *count <= PLACES
-    };
-    proposals.into_iter().filter(is_rival).filter(|p| is_among_best(p)).collect()
+/// Whether `other` could be taken for `own`: the catalogue knows them to be confused, or it is another place of the same.
+fn is_rival(own: &Instance, other: &Instance) -> bool {
+    let confused = effects::find(own.kind).map_or(&[][..], |e| e.catalogue.confused_with);
+    own.kind == other.kind || confused.contains(&other.kind)
+}
+
+/// Whether `instance` is at one of the best places of its form, where they come best first; `places` are those of each form so far.
+fn is_among_best(places: &mut BTreeMap<String, usize>, instance: &Instance) -> bool {
+    let count = places.entry(form(instance)).or_default();
+    *count += 1;
+    *count <= PLACES
 }
 
 /// The best place of each set of forms.
