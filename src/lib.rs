@@ -6,13 +6,14 @@
 //! `t = 0` at the first sample. Inside, everything is SI (`units` holds the only conversions).
 //!
 //! Dependencies point one way: `error units numerics registry progress → motion soil → column → dataset records metrics →
-//! flare effects diagnosis inference → manifest → twin → report stages → cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
+//! flare effects diagnosis equivalent_linear inference → manifest → twin → report stages → cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
 
 pub mod cli;
 pub mod column;
 pub mod dataset;
 pub mod diagnosis;
 pub mod effects;
+pub mod equivalent_linear;
 pub mod error;
 pub mod flare;
 pub mod inference;

@@ -20,16 +20,7 @@ fn said(arguments: &[&str]) -> (i32, String, String) {
 }
 
 /// A small version of the smoke run: few motions and epochs.
-const SMALL: &[&str] = &[
-    "--set",
-    "pretrain.epochs=20",
-    "--set",
-    "distill.epochs=5",
-    "--set",
-    "calibrate.epochs=10",
-    "--set",
-    "diagnose.null_twins=20",
-];
+const SMALL: &[&str] = &["--set", "pretrain.epochs=20", "--set", "distill.epochs=5", "--set", "calibrate.epochs=10"];
 
 fn run_small(run_dir: &Path, more: &[&str]) -> (i32, String, String) {
     let run_dir = run_dir.to_str().expect("a path in UTF-8");

@@ -52,7 +52,7 @@ impl Place {
 
     /// Runs with few epochs and returns what was computed.
     fn run(&self, more: &[&str]) -> Vec<String> {
-        let few = ["pretrain.epochs=20", "distill.epochs=5", "calibrate.epochs=10", "diagnose.null_twins=20"];
+        let few = ["pretrain.epochs=20", "distill.epochs=5", "calibrate.epochs=10"];
         let mut command = Command::cargo_bin("flare-pipe").expect("the program is built");
         command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("run").arg(self.path("site.toml"));
         command.arg("--run-dir").arg(self.path("runs")).args(["--json", "-q"]).args(more);

@@ -2,16 +2,17 @@
 
 use super::SiteArguments;
 use super::workspace::Workspace;
-use crate::diagnosis::{Event, NoiseSpectrum, Power, Problem, Sensitivity, power as assess};
-use crate::effects::Situation;
+use crate::diagnosis::Problem;
 use crate::error::{Context, Error, Result};
+use crate::inference::{self, Power, Sensitivity};
 use crate::manifest::Site;
-use crate::metrics::rms;
-use crate::motion::{Motion, suite};
+use crate::motion::suite;
 use crate::numerics::resample::resample_band_limited;
-use crate::records::Split;
-use crate::{pipeline, stages};
+use crate::records::{DeclaredNoise, Record, RecordSettings, Sensor, Split};
+use crate::stages::Bench;
+use crate::units::AccelerationUnit;
 use clap::Args;
+use toml::Table;
 
 /// Which site, how noisy its sensors are, and in what form.
 #[derive(Debug, Args)]
@@ -32,7 +33,7 @@ const STEP_S: f64 = 0.01;
 const EVENTS: [usize; 2] = [8, 3];
 
 /// Prints what the array, its split and the noise could reveal. Base motions of the suite, weak to strong, stand in for the
-/// events; where the pipeline has computed alarm thresholds from null twins, they count.
+/// events.
 ///
 /// # Errors
 /// When the manifest is wrong or its column cannot be built.
@@ -42,20 +43,18 @@ pub fn power(arguments: &PowerArguments) -> Result<()> {
     }
     let workspace = Workspace::open(&arguments.site)?;
     let site = &workspace.manifest.site;
-    let problem = assumed(site, arguments.noise)?;
-    let folder = pipeline::output(&workspace.site(), &workspace.graph, "null-twins");
-    let thresholds = folder.ok().and_then(|folder| stages::thresholds(&folder).ok());
-    let found = assess(&problem, &site.diagnose, thresholds.as_ref())?;
+    let bench = assumed(site, arguments.noise)?;
+    let found = inference::power(&bench.problem, &bench, &site.diagnose)?;
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&found).context(|| "cannot write the assessment".into())?);
     } else {
-        print(&problem, &found);
+        print(&bench.problem, &found);
     }
     Ok(())
 }
 
 /// The array with motions of the suite as events, as many as the manifest names, in each component another.
-fn assumed(site: &Site, noise: f64) -> Result<Problem> {
+fn assumed(site: &Site, noise: f64) -> Result<Bench<'static>> {
     let sections = site.column();
     let (components, counts) = match &site.records {
         Some(records) => (records.components.clone(), [records.train.len(), records.validation.len()]),
@@ -67,35 +66,38 @@ fn assumed(site: &Site, noise: f64) -> Result<Problem> {
     let names: Vec<String> = (1..=n_event).map(|i| format!("{i:03}")).collect();
     let is_validation = spread(n_event, counts[1]);
     let chosen = spread_indices(motions.len(), n_event * components.len());
-    let mut events = Vec::new();
-    for (e, name) in names.iter().enumerate() {
-        for component in 0..components.len() {
-            let motion = &motions[chosen[e * components.len() + component]];
-            let split = if is_validation[e] { Split::Validation } else { Split::Train };
-            let situation = Situation::of(component, name, names.iter().map(String::as_str));
-            events.push(event(name, situation, split, motion, noise, sections.sensors.output.len()));
+    let record = |e: usize, c: usize| {
+        let motion = &motions[chosen[e * components.len() + c]];
+        let input = resample_band_limited(&motion.acceleration_m_s2, motion.dt_s, STEP_S);
+        let sensor = |name: &str| Sensor { name: name.into(), acceleration_m_s2: input.clone() };
+        Record {
+            event: names[e].clone(),
+            component: components[c].clone(),
+            dt_s: STEP_S,
+            input: sensor(&sections.sensors.input),
+            outputs: sections.sensors.output.iter().map(|s| sensor(&s.name)).collect(),
         }
-    }
-    Ok(Problem {
-        array: sections.array(&components)?,
-        declared: sections.effects,
-        tolerances: site.tolerances.clone(),
-        events,
-    })
-}
-
-fn event(name: &str, situation: Situation, split: Split, motion: &Motion, noise: f64, n_output: usize) -> Event {
-    let input = resample_band_limited(&motion.acceleration_m_s2, motion.dt_s, STEP_S);
-    let white = NoiseSpectrum::white(noise * rms(&input), STEP_S);
-    Event {
-        name: name.to_string(),
-        situation,
-        split,
-        dt_s: STEP_S,
-        outputs: vec![input.clone(); n_output],
-        input,
-        noise: vec![white; n_output + 1],
-    }
+    };
+    let event = |e: usize| {
+        let split = if is_validation[e] { Split::Validation } else { Split::Train };
+        (split, (0..components.len()).map(|c| record(e, c)).collect())
+    };
+    let events = (0..n_event).map(event).collect();
+    let named =
+        |of: bool| names.iter().zip(&is_validation).filter(|(_, v)| **v == of).map(|(n, _)| n.clone()).collect();
+    let settings = RecordSettings {
+        format: "csv".into(),
+        dir: None,
+        unit: AccelerationUnit::MetrePerSecondSquared,
+        truth: None,
+        train: named(false),
+        validation: named(true),
+        test: Vec::new(),
+        noise: Some(DeclaredNoise { rms_share: Some(noise), floor_m_s2: None }),
+        options: Table::new(),
+        components,
+    };
+    Bench::new(None, sections, &site.diagnose, site.tolerances.clone(), settings, events)
 }
 
 /// `count` of `n` places, evenly spread.

@@ -35,10 +35,7 @@ pub struct TwinsArguments {
 
 const RECIPE: &str = "about = 'a matrix of twins'
 [[stage]]
-name = 'twin-thresholds'
-[[stage]]
 name = 'twins'
-inputs = { thresholds = 'twin-thresholds' }
 ";
 
 /// Runs the matrix, every twin from the cache that is there, and prints the tally.
@@ -89,6 +86,9 @@ fn print(report: &Report) {
     for (name, tally) in &report.surviving {
         lines(&format!("{name}: those whose error outlives recalibration"), tally);
     }
+    if let Some(factor) = report.inflation {
+        println!("half-widths of all intervals × {factor:.2} would hold 95 % of the truths; none is applied");
+    }
     println!("what held → what was said");
     for (held, answers) in &report.confusion {
         for (answer, count) in answers {
@@ -128,7 +128,7 @@ fn lines(name: &str, tally: &Tally) {
     println!("  alarm                {}", share(&tally.alarms));
     println!("  unknown              {}", share(&tally.unknown));
     println!("  right name           {}", share(&tally.right));
-    println!("  best of the search   {}", share(&tally.top_1));
+    println!("  best single effect   {}", share(&tally.top_1));
     println!("  among the best three {}", share(&tally.top_3));
     println!("  parameter error      {}", spread(&tally.parameter_error, 1.0));
     println!("  corrected / floor    {}", spread(&tally.corrected_over_floor, 1.0));

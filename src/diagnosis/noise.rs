@@ -3,15 +3,9 @@
 use super::problem::NoiseSpectrum;
 use crate::metrics::{median, rms};
 use crate::numerics::filter;
-use crate::numerics::random;
 use crate::records::{DeclaredNoise, Record};
-use rand::Rng;
-use rand_distr::{Distribution, StandardNormal};
 use realfft::RealFftPlanner;
-use realfft::num_complex::Complex;
 use std::f64::consts::PI;
-
-type C64 = Complex<f64>;
 
 /// Shortest quiet stretch before the event that tells noise, s.
 const QUIET_S: f64 = 4.0;
@@ -132,39 +126,6 @@ fn kept(noise: &NoiseSpectrum, power: &NoiseSpectrum, frequency_hz: f64) -> f64 
     (1.0 - noise.at(frequency_hz) / power.at(frequency_hz).max(f64::MIN_POSITIVE)).max(0.0)
 }
 
-/// `x` with noise of this density and `seed` added, [`denoised`] as `x` alone would be.
-pub fn noisier(x: &[f64], dt_s: f64, noise: &NoiseSpectrum, seed: &str) -> Vec<f64> {
-    let power = averaged(x, dt_s);
-    let added = drawn(noise, x.len(), dt_s, &mut random::stream(0, seed));
-    let sum: Vec<f64> = x.iter().zip(added).map(|(x, n)| x + n).collect();
-    filter::zero_phase(&sum, dt_s, |f| kept(noise, &power, f))
-}
-
-/// A Gaussian history of this density.
-pub(super) fn drawn(spectrum: &NoiseSpectrum, n: usize, dt_s: f64, random: &mut impl Rng) -> Vec<f64> {
-    let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
-    let mut bins = plan.make_input_vec();
-    let last = bins.len() - 1;
-    for (k, bin) in bins.iter_mut().enumerate() {
-        let power = spectrum.at(k as f64 / (n as f64 * dt_s)) * n as f64 / (2.0 * dt_s);
-        *bin = normal(random) * power.sqrt();
-        if k == 0 || (k == last && n.is_multiple_of(2)) {
-            *bin = C64::new(bin.re * std::f64::consts::SQRT_2, 0.0);
-        }
-    }
-    let mut out = vec![0.0; n];
-    if plan.process(&mut bins, &mut out).is_err() {
-        return out;
-    }
-    out.iter().map(|x| x / n as f64).collect()
-}
-
-/// A complex number of unit variance.
-pub(super) fn normal(random: &mut impl Rng) -> C64 {
-    let mut draw = || -> f64 { StandardNormal.sample(random) };
-    C64::new(draw(), draw()) * std::f64::consts::FRAC_1_SQRT_2
-}
-
 fn beyond_the_band(x: &[f64], dt_s: f64) -> NoiseSpectrum {
     let (mut found, length) = segments(x, dt_s);
     let [first, last] = EMPTY_BAND.map(|share| (share * (length / 2) as f64) as usize);
@@ -275,14 +236,5 @@ mod tests {
         let silent = vec![vec![0.0; 300]; 2];
         assert!(super::noise(&record(0.0, &silent), None).iter().all(|s| s.at(3.0).is_finite()));
         assert_eq!(super::noise(&record(9.0, &silent), None).len(), 2);
-    }
-
-    #[test]
-    fn drawn_noise_has_its_density() {
-        let white = NoiseSpectrum::white(0.02, 0.01);
-        let x = drawn(&white, 20_000, 0.01, &mut random::stream(3, "test"));
-        let rms = (x.iter().map(|x| x * x).sum::<f64>() / x.len() as f64).sqrt();
-        assert!((rms / 0.02 - 1.0).abs() < 0.02, "{rms}");
-        assert!((white.at(3.3) * 0.5 / 0.01 - 4e-4).abs() < 1e-12);
     }
 }

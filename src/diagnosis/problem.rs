@@ -104,26 +104,4 @@ pub trait Replay: Sync {
     fn replay_some_roughly(&self, effects: &[toml::Table], _is_wanted: &[bool]) -> Result<Motions> {
         self.replay_roughly(effects)
     }
-
-    /// As [`Replay::replay_roughly`], with noise of the input sensor drawn and added to its records; who has no noise to draw
-    /// replays as before.
-    ///
-    /// # Errors
-    /// As [`Replay::replay`].
-    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Motions> {
-        self.replay_roughly(effects)
-    }
-}
-
-/// Replays roughly where it is asked to replay: enough to find the way.
-pub(super) struct Roughly<'a>(pub &'a dyn Replay);
-
-impl Replay for Roughly<'_> {
-    fn replay(&self, effects: &[toml::Table]) -> Result<Motions> {
-        self.0.replay_roughly(effects)
-    }
-
-    fn replay_noisier(&self, effects: &[toml::Table]) -> Result<Motions> {
-        self.0.replay_noisier(effects)
-    }
 }

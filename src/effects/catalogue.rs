@@ -51,7 +51,7 @@ pub struct Parameter {
     pub low: f64,
     /// Largest plausible value.
     pub high: f64,
-    /// Coordinate in which to search.
+    /// Coordinate in which it is estimated.
     pub scale: Scale,
     /// Prior standard deviation of the coordinate.
     pub prior_sd: f64,
@@ -103,7 +103,7 @@ pub struct Catalogue {
     pub class: Class,
     /// Its parameters, the strength first.
     pub parameters: &'static [Parameter],
-    /// The places of an array where it may sit, a search started at each.
+    /// The places of an array where it may sit, a fit started at each.
     pub instances: fn(&Array) -> Vec<Instance>,
     /// Kinds that look alike at few sensors.
     pub confused_with: &'static [&'static str],
@@ -164,7 +164,7 @@ pub struct Instance {
     pub kind: &'static str,
     /// Where it sits and what is held fixed.
     pub target: toml::Table,
-    /// Parameters to search, the strength first; none for a discrete effect.
+    /// Parameters to estimate, the strength first; none for a discrete effect.
     pub free: Vec<Free>,
 }
 
@@ -182,7 +182,7 @@ pub struct Free {
 }
 
 impl Free {
-    /// A parameter whose search starts at `start`, with its own zero and prior deviation.
+    /// A parameter whose fit starts at `start`, with its own zero and prior deviation.
     pub const fn new(parameter: &'static Parameter, start: f64) -> Self {
         Self { parameter, zero: parameter.zero, start, size: parameter.prior_sd }
     }
@@ -236,7 +236,7 @@ impl Instance {
         self.table(&values)
     }
 
-    /// Coordinates from which to search.
+    /// Coordinates from which to fit.
     pub fn start(&self) -> Vec<f64> {
         self.free.iter().map(|f| f.parameter.coordinate(f.start)).collect()
     }

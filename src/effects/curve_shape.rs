@@ -136,8 +136,8 @@ impl Effect for CurveShape {
 mod tests {
     use super::*;
     use crate::column::Vertical;
-    use crate::diagnosis::Curve;
     use crate::effects::layers::tests::profile;
+    use crate::equivalent_linear::Curve;
     use crate::soil::{LAWS, Point};
 
     /// (G/G₀, D) at `gamma`, the reference strain 1e-3.

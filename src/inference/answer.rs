@@ -7,10 +7,11 @@ use super::forward::{Forward, Prediction};
 use super::intervals::{Member, NORMAL, averaged, half_widths};
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
+use super::recalibration::recalibrated;
 use super::weights::{Spread, band_hz, residual_powers};
 use crate::diagnosis::{
-    Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Remainder, Replay, Rest, RestVerdict,
-    ToleranceAlarm, Verdict,
+    Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, ToleranceAlarm,
+    Verdict,
 };
 use crate::effects::Instance;
 use crate::error::Result;
@@ -19,14 +20,9 @@ use crate::records::Split;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest probability that nothing is missing beside which an effect is named.
-const NOTHING: f64 = 0.05;
+pub(super) const NOTHING: f64 = 0.05;
 /// Least probability of a kind, over all models that have it, for it to be named.
 const KNOWN: f64 = 0.9;
-/// Most rounds of recalibration, and the change of the column's level (ln) below which they end.
-const RECALIBRATIONS: usize = 4;
-const STILL: f64 = 0.1;
-/// When a fit of these rounds ends.
-const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false };
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
 const UNNAMED: f64 = 2.0;
 
@@ -48,7 +44,7 @@ pub fn diagnose(
     // What few elements leave wrong is taken out where it matters.
     let tables = start.0.tables(&start.1);
     forward.anchor(&tables)?;
-    let declared = plain.clone().with_conventions(conventions(&forward, settings, &tables)?);
+    let declared = plain.clone().with_conventions(conventions(&forward, &tables)?);
     let model = Model { declared: &declared, effects: Vec::new() };
     let mut x = start.1;
     x.resize(model.len(), 0.0);
@@ -61,28 +57,6 @@ pub fn diagnose(
     competition.run(progress)?;
     progress.note(&competition.replays());
     Ok(Answer { forward: &forward, competition: &competition, problem }.assembled())
-}
-
-/// What is declared, most probable within its tolerances: what the records say of the field and of the column's error is read off
-/// beside it, until that stands still.
-fn recalibrated<'a>(forward: &'a Forward<'a>, declared: &'a Declared) -> Result<(Spread, (Model<'a>, Vec<f64>))> {
-    let model = Model { declared, effects: Vec::new() };
-    let mut x = vec![0.0; model.len()];
-    let mut prediction = std::sync::Arc::new(forward.predict(&[])?);
-    let mut spread = Spread::estimated(forward, &prediction);
-    for round in 0..RECALIBRATIONS {
-        let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
-        let start = Start::at(model.clone(), x);
-        let fit = if round == 0 { fitter.fit_from_afar(start, ROUGHLY)? } else { fitter.fit(start, ROUGHLY)? };
-        (x, prediction) = (fit.x, fit.prediction);
-        let found = Spread::estimated(forward, &prediction);
-        let is_still = (found.level / spread.level).ln().abs() < STILL;
-        spread = found;
-        if is_still {
-            break;
-        }
-    }
-    Ok((spread, (model, x)))
 }
 
 struct Answer<'c, 'a> {
@@ -137,14 +111,7 @@ impl<'a> Answer<'_, 'a> {
             corrected_nuisances: answer.model.declared.tables(&answer.x[..range]),
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
-            input_coherent_share: None,
-            declared: Default::default(),
-            recalibrated: Default::default(),
-            corrected: Default::default(),
             tolerance_alarms: strained(answer),
-            upper_bounds: Vec::new(),
-            remainder: Remainder::default(),
-            evidence: Default::default(),
             notes: [sentence(&rest)].into_iter().chain(besides).collect(),
             rest: Some(rest),
         }
@@ -166,7 +133,6 @@ impl<'a> Answer<'_, 'a> {
                 validation_gain: self.validation_cost(plain) - self.validation_cost(fit),
                 explained_share: self.explained_share(fit),
                 round: fit.model.effects.len(),
-                is_confirmed: true,
                 table: fit.model.effect_table(&fit.x, 0),
             })
         };
@@ -275,7 +241,6 @@ impl<'a> Answer<'_, 'a> {
                 parameters: parameters.collect(),
                 gain: self.competition.log_posterior(fit) - self.competition.log_posterior(&self.competition.fits[0]),
                 validation_gain: self.validation_cost(&self.competition.fits[0]) - self.validation_cost(fit),
-                is_standing: false,
             }
         };
         fit.model.effects.iter().enumerate().filter(|(_, e)| e.is_named()).map(of).collect()

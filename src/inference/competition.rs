@@ -13,8 +13,9 @@ use super::forward::{Forward, Prediction, channels};
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Start, Stop, combined, square};
 use super::weights::{Rows, Spread, Weights};
-use crate::effects::{self, Instance};
+use crate::effects::{self, Array, Instance};
 use crate::error::Result;
+use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 use proposals::{NODES, Proposal, away, distinct};
 use std::collections::BTreeMap;
@@ -41,7 +42,7 @@ const TOLD: f64 = 0.5;
 /// Prior standard deviations that a tolerance may move for slopes to be carried along.
 const NEAR: f64 = 1.0;
 /// Prior probability of one effect more.
-const ONE_MORE: f64 = 0.25;
+pub(super) const ONE_MORE: f64 = 0.25;
 /// Change of the column's level (ln) and of a coherence from which models are compared anew.
 const CHANGED: [f64; 2] = [0.05, 0.02];
 /// The same from which candidates are looked for anew.
@@ -75,11 +76,7 @@ impl<'a> Competition<'a> {
     /// Prepares the competition around `declared`, the fit without effects; candidates are looked at in `few` events.
     pub fn new(fitter: Fitter<'a>, declared: Fit<'a>, few: Few<'a>, max_effects: usize) -> Self {
         let array = &fitter.forward.problem.array;
-        let acts = |i: &Instance| {
-            let at = i.zero().map_or_else(Vec::new, |zero| away(i, &zero, NODES[0], 1.0).unwrap_or(i.start()));
-            effects::build(&i.at(&at)).is_ok_and(|e| e.refusal(&array.profile).is_none())
-        };
-        let instances: Vec<Instance> = effects::instances(array).into_iter().filter(acts).collect();
+        let instances = acting(array);
         let unnamed = effects::unnamed(array);
         let ln_prior = ln_prior(fitter.forward, instances.iter().chain(&unnamed));
         Self { fitter, few, instances, ln_prior, max_effects, fits: vec![declared], expanded: Vec::new() }
@@ -227,9 +224,15 @@ impl<'a> Competition<'a> {
         let old = std::mem::take(&mut self.fits);
         let cost = |fit: &Fit<'a>| self.fitter.nll(&fit.prediction) + Fitter::prior(&fit.model, &fit.x);
         let costs: Vec<f64> = old.iter().map(cost).collect();
-        let lowest = costs.iter().copied().fold(f64::INFINITY, f64::min);
+        // What has a name is kept by what else has one: a response without takes up all of that at once.
+        let lowest = |is_named: bool| {
+            let alike = old.iter().zip(&costs).filter(|(fit, _)| fit.model.is_named() == is_named);
+            alike.map(|(_, cost)| *cost).fold(f64::INFINITY, f64::min)
+        };
+        let lowest = [lowest(false), lowest(true)];
         for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
-            if i == 0 || cost < lowest + FAR || is_same_set(&fit.model.effects, &own) {
+            let is_close = cost < lowest[usize::from(fit.model.is_named())] + FAR;
+            if i == 0 || is_close || is_same_set(&fit.model.effects, &own) {
                 self.fits.push(self.fitter.fit(Start::weighed_anew(fit), Stop::CLOSE)?);
             }
         }
@@ -313,14 +316,17 @@ impl<'a> Competition<'a> {
         let (instead, more): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.instead_of.is_some());
         let (singles, pairs): (Vec<_>, Vec<_>) = more.into_iter().partition(|p| p.parts.len() == 1);
         let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs) };
-        let fitted = |set: Proposal| {
+        let beside: Vec<Proposal> = distinct(singles).into_iter().chain(pairs).chain(instead).collect();
+        let fitted = |i: usize| {
+            let set = beside[i].clone();
+            if set.instead_of.is_some() {
+                return by.fit_from_afar(Self::from_declared(base, set), FAR_HEAT).ok();
+            }
             let start = Self::started(by, point, set);
             let is_far = look == Look::Far;
             if is_far { fitter.fit_from_afar(start, FAR_HEAT) } else { fitter.fit(start, HEAT) }.ok()
         };
-        let rivals =
-            instead.into_iter().filter_map(|set| by.fit_from_afar(Self::from_declared(base, set), FAR_HEAT).ok());
-        distinct(singles).into_iter().chain(pairs).filter_map(fitted).chain(rivals).collect()
+        on_threads(beside.len(), fitted).into_iter().flatten().collect()
     }
 
     /// The best first fit of what has no name beside `base`: a response of one sensor, or of each.
@@ -331,15 +337,16 @@ impl<'a> Competition<'a> {
         let all = effects::unnamed(&by.forward.problem.array);
         let alone = all.iter().map(|response| vec![response.clone()]);
         let together = Some(all.clone()).filter(|all| all.len() > 1);
-        let fitted = |responses: Vec<Instance>| {
-            let effects = [&base.model.effects[..], &responses].concat();
+        let all: Vec<Vec<Instance>> = alone.chain(together).collect();
+        let fitted = |i: usize| {
+            let effects = [&base.model.effects[..], &all[i]].concat();
             let model = Model { declared: base.model.declared, effects };
             let mut x = base.x.clone();
             x.resize(model.len(), 0.0);
             let slopes = base.slopes.iter().cloned().map(Some).collect();
             by.fit(Start { slopes, ..Start::at(model, x) }, HEAT).ok()
         };
-        let fits = alone.chain(together).filter_map(fitted);
+        let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.log_posterior(a).total_cmp(&self.log_posterior(b)))
     }
 
@@ -454,11 +461,23 @@ impl<'a> Competition<'a> {
     }
 }
 
+/// Effects of the catalogue at every place of `array` where they have something to act on.
+pub(super) fn acting(array: &Array) -> Vec<Instance> {
+    let acts = |i: &Instance| {
+        let at = i.zero().map_or_else(Vec::new, |zero| away(i, &zero, NODES[0], 1.0).unwrap_or(i.start()));
+        effects::build(&i.at(&at)).is_ok_and(|e| e.refusal(&array.profile).is_none())
+    };
+    effects::instances(array).into_iter().filter(acts).collect()
+}
+
 /// ln of the prior of an effect at one of its places among `all` of them, by kind: kinds are as probable as each other, and so are the
 /// places of each. Each number that an effect takes from a record is one more that is fitted to it.
 ///
 /// Source: Schwarz (1978), doi 10.1214/aos/1176344136, for ½ ln n a fitted number.
-fn ln_prior<'i>(forward: &Forward<'_>, all: impl Iterator<Item = &'i Instance>) -> BTreeMap<&'static str, f64> {
+pub(super) fn ln_prior<'i>(
+    forward: &Forward<'_>,
+    all: impl Iterator<Item = &'i Instance>,
+) -> BTreeMap<&'static str, f64> {
     let mut places: BTreeMap<&'static str, (f64, f64)> = BTreeMap::new();
     for instance in all {
         places.entry(instance.kind).or_insert((0.0, instance.hidden() as f64)).0 += 1.0;

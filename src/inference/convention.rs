@@ -1,10 +1,10 @@
 //! What other programs make of the same declared column: what these change is no property of a site.
 
-use super::forward::{Bins, Forward, Prediction, built};
-use crate::diagnosis::DiagnoseSettings;
-use crate::diagnosis::responses::Scene;
-use crate::effects::Effect;
+use super::forward::{Bins, Forward, Predicted, Prediction, built};
+use crate::effects;
+use crate::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, element_count};
 use crate::error::Result;
+use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::sync::Arc;
 use toml::Table;
@@ -18,28 +18,45 @@ const NOTHING: f64 = 1e-6;
 pub type Slope = Arc<Vec<Bins>>;
 
 /// What each convention adds to the outputs under `tables` on top of what is declared: a complex modulus without dispersion, as
-/// frequency-domain programs have it, instead of the causal one. Taken from the linear-equivalent column, tuned to the replay there, for
+/// frequency-domain programs have it, instead of the causal one. Taken from the equivalent-linear column, tuned to the replay there, for
 /// no replay in the time domain can have it; one that changes nothing is left out.
 ///
 /// # Errors
 /// When the column cannot be built or replayed.
-pub fn conventions(forward: &Forward<'_>, settings: &DiagnoseSettings, tables: &[Table]) -> Result<Vec<Slope>> {
+pub fn conventions(forward: &Forward<'_>, tables: &[Table]) -> Result<Vec<Slope>> {
     let effects = built(forward.problem, tables)?;
-    let mut scene = Scene::new(forward.problem, settings)?;
-    scene.tune(&effects, &forward.fine(tables)?)?;
-    let ours = motions(&scene, &effects)?;
-    let theirs = motions(&scene.without_dispersion(), &effects)?;
+    let array = &forward.problem.array;
+    let high_hz =
+        forward.records.iter().filter_map(|at| forward.frequencies_hz(*at).last()).fold(1.0f64, |m, f| m.max(*f));
+    let elements = element_count(&array.profile, high_hz);
+    let curves = Curves::default();
+    let depths_m: Vec<f64> = array
+        .outputs
+        .iter()
+        .zip(&array.depths_m)
+        .map(|(name, depth_m)| effects::depth_m(&effects, name, *depth_m, array.profile.depth_m()))
+        .collect();
+    let of = |(i, (predicted, replayed)): (usize, (&Predicted, &Bins))| -> Result<[Bins; 2]> {
+        let at = forward.records[i];
+        let record = &forward.groups[at.group].records[at.record];
+        let mut profile = array.profile.clone();
+        effects.iter().for_each(|e| e.edit(&mut profile, &forward.problem.events[record.event].situation));
+        let base = Base {
+            frequencies_hz: forward.frequencies_hz(at),
+            acceleration_m_s2: &predicted.base,
+            samples: record.window.len(),
+            peak_factor: record.peak_factor,
+        };
+        let column = Compatible::new(EquivalentColumn::new(&profile, elements, &curves)?, &base);
+        let tuning = column.tuned(&base, &depths_m, replayed);
+        let ours = column.motions(&base, &depths_m, &tuning);
+        Ok([ours, column.without_dispersion().motions(&base, &depths_m, &tuning)])
+    };
+    let (prediction, replayed) = (forward.predict(tables)?, forward.corrected(tables)?);
+    let records: Vec<_> = prediction.iter().zip(replayed.iter()).enumerate().collect();
+    let both: Vec<[Bins; 2]> = records.into_par_iter().map(of).collect::<Result<_>>()?;
+    let (ours, theirs): (Vec<Bins>, Vec<Bins>) = both.into_iter().map(|[ours, theirs]| (ours, theirs)).unzip();
     Ok(change(&ours, &theirs).into_iter().collect())
-}
-
-/// Motions at the outputs of a linear-equivalent column, by record.
-fn motions(scene: &Scene<'_>, effects: &[Box<dyn Effect>]) -> Result<Vec<Bins>> {
-    let groups: Vec<usize> = (0..scene.groups.len()).collect();
-    let n = scene.problem.array.outputs.len().max(1);
-    let by_sensor =
-        |motion: &[C64]| -> Bins { (0..n).map(|s| motion.iter().skip(s).step_by(n).copied().collect()).collect() };
-    let found = scene.responses(effects, &groups, None)?;
-    Ok(found.records.iter().flatten().map(|r| by_sensor(&r.motion)).collect())
 }
 
 /// What `theirs` have more than `ours`, if anything.

@@ -78,9 +78,7 @@ impl<'a> Forward<'a> {
     /// # Errors
     /// When an event is unusable.
     pub fn new(problem: &'a Problem, replay: &'a dyn Replay, settings: &DiagnoseSettings) -> Result<Self> {
-        // What the column has wrong is part of the likelihood, not of the noise.
-        let settings = DiagnoseSettings { model_error: 0.0, ..settings.clone() };
-        Ok(Self::of(problem, replay, spectra::groups(problem, &settings)?))
+        Ok(Self::of(problem, replay, spectra::groups(problem, settings)?))
     }
 
     fn of(problem: &'a Problem, replay: &'a dyn Replay, groups: Vec<Group>) -> Self {
@@ -142,11 +140,7 @@ impl<'a> Forward<'a> {
 
     /// Spectrum of a history as the record `at` is seen.
     fn bins(&self, at: At, history: &[f64]) -> Vec<C64> {
-        let group = &self.groups[at.group];
-        let window = group.records[at.record].window.clone();
-        let step_hz = group.frequencies_hz[1] - group.frequencies_hz[0];
-        let first = (group.frequencies_hz[0] / step_hz).round() as usize;
-        group.convolver.tapered(history.get(window).unwrap_or_default(), first, group.frequencies_hz.len())
+        self.groups[at.group].bins(at.record, history)
     }
 
     /// Those of `tables` that move the column.
@@ -218,11 +212,19 @@ impl<'a> Forward<'a> {
     /// # Errors
     /// When an effect cannot be built or the column cannot be replayed.
     pub fn predict(&self, tables: &[Table]) -> Result<Prediction> {
+        self.recorded(tables, &self.corrected(tables)?)
+    }
+
+    /// Motions at the output sensors under `tables` by record, less what few elements and long steps leave wrong of them at the anchor.
+    ///
+    /// # Errors
+    /// As [`Forward::predict`].
+    pub fn corrected(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
         let rough = self.motions(tables)?;
-        let Some(difference) = self.numerical_error() else { return self.recorded(tables, &rough) };
+        let Some(difference) = self.numerical_error() else { return Ok(rough) };
         let mut motions = rough.to_vec();
         add(&mut motions, &difference, 1.0);
-        self.recorded(tables, &motions)
+        Ok(Arc::new(motions))
     }
 
     /// What every sensor records of `motions`.

@@ -1,6 +1,4 @@
-//! Which effect does the declared model lack? One parameter space, one weighting of residuals, one competition: the method of the diagnosis
-//! for measured records and those of other programs (`[diagnose] method = "competition"`, the default). The search of
-//! [`crate::diagnosis`] is for twins that this program makes.
+//! Which effect does the declared model lack? One parameter space, one weighting of residuals, one competition.
 //!
 //! Declared values that may be off within their tolerances and effects of a catalogue are parameters with priors (`parameters`). What is
 //! expected of residuals (noise, a field that is partly incoherent, a column that is not exact) is read off the records beside the model
@@ -17,6 +15,7 @@ mod answer;
 mod competition;
 mod convention;
 mod covariance;
+mod depth_modes;
 mod few;
 mod forward;
 mod intervals;
@@ -24,6 +23,10 @@ mod intervals;
 mod made_up;
 mod parameters;
 mod posterior;
+mod power;
+mod recalibration;
 mod weights;
 
 pub use answer::diagnose;
+pub use power::{Confusion, Power, Sensitivity, power};
+pub use recalibration::recalibrate;

@@ -2,7 +2,7 @@
 //!
 //! | parameter                        | coordinate                | prior                                            |
 //! |----------------------------------|---------------------------|--------------------------------------------------|
-//! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`COMMON_VELOCITY_LN`] for all together |
+//! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`super::depth_modes::COMMON_VELOCITY_LN`] for all together |
 //! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` and [`DAMPING_RATIO`] |
 //! | reference strain, curvature, hysteresis | standard deviations | N(0, 1), [`NONLINEARITY_LN`], [`CURVATURE_LN`], [`HYSTERESIS_LN`] |
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
@@ -13,12 +13,13 @@
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
 
 use super::convention::Slope;
+use super::depth_modes::{modes, ranges};
 use crate::column::{Analysis, Column, Profile, Rayleigh};
-use crate::diagnosis::{Problem, ranges};
+use crate::diagnosis::Problem;
 use crate::effects::{self, Array, Free, Instance, LAYER_VELOCITY_LN};
 use crate::error::{Error, Result};
 use crate::manifest::Tolerances;
-use faer::{Mat, Side};
+use faer::Mat;
 use std::f64::consts::TAU;
 use std::ops::Range;
 use toml::Table;
@@ -31,8 +32,6 @@ pub const NONLINEARITY_LN: f64 = 0.15;
 /// Source: Darendeli (2001), chapter 10, for the scatter of curves around their means, which is larger.
 pub const CURVATURE_LN: f64 = 0.05;
 pub const HYSTERESIS_LN: f64 = 0.1;
-/// Prior standard deviation of the ln of all shear-wave velocities together: dispersion of mesh and time step.
-pub const COMMON_VELOCITY_LN: f64 = 0.01;
 /// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
 /// time steps of the program that has it, make of a ratio.
 ///
@@ -48,8 +47,6 @@ const LEFT_LN: f64 = -2.0;
 /// Prior standard deviation of the ln of the frequencies at which Rayleigh damping in its place meets the declared ratio: programs ask for
 /// it at multiples of the fundamental frequency or at the ends of a band.
 const SHIFT_LN: f64 = 0.5;
-/// Depth modes of ln Vs that are shared by the intervals between sensors, and the least of each.
-const MODES: [usize; 2] = [9, 3];
 /// Farthest that a declared value is within its tolerance, standard deviations.
 const FARTHEST: f64 = Tolerances::FARTHEST;
 /// Step of a finite difference, prior standard deviations: records tell some coordinates to a hundredth of them, and replays are smooth to
@@ -404,56 +401,6 @@ fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
     };
     let has_memory = effects::build(&share.table(1.0))?.refusal(profile).is_none();
     if has_memory { Ok(vec![share, of("ln_shift", SHIFT_LN)?]) } else { Ok(Vec::new()) }
-}
-
-/// Depth modes of ln Vs: between every two sensors polynomials of the range's place in order, of as low a degree as the array
-/// resolves, with the prior of independent layers and a common factor carried over.
-///
-/// ```text
-/// ln f = B a,   K = σ² I + σ_c² 1 1ᵀ,   cov(a) = (Bᵀ K⁻¹ B)⁻¹ = L Lᵀ,   modes = B L                 (1)
-/// ```
-///
-/// Check: `modes_carry_the_prior_of_layers`.
-fn modes(array: &Array, cuts_m: &[f64], vs_ln: f64) -> Vec<Vec<f64>> {
-    let n = cuts_m.len() - 1;
-    let middles: Vec<f64> = cuts_m.windows(2).map(|p| 0.5 * (p[0] + p[1])).collect();
-    let sensors = array.cuts_m();
-    let interval = |z: f64| sensors.windows(2).position(|p| z < p[1]).unwrap_or(sensors.len() - 2);
-    let n_interval = sensors.len() - 1;
-    let most = (MODES[0] / n_interval.max(1)).max(MODES[1]);
-    let mut columns: Vec<Vec<f64>> = Vec::new();
-    for k in 0..n_interval {
-        let own: Vec<usize> = (0..n).filter(|i| interval(middles[*i]) == k).collect();
-        let m = own.len();
-        for degree in 0..m.min(most) {
-            let mut column = vec![0.0; n];
-            // Discrete cosines are orthogonal over the ranges of an interval.
-            let at = |j: usize| (std::f64::consts::PI * degree as f64 * (j as f64 + 0.5) / m as f64).cos();
-            own.iter().enumerate().for_each(|(j, i)| column[*i] = at(j));
-            columns.push(column);
-        }
-    }
-    if columns.is_empty() || vs_ln <= 0.0 {
-        return vec![Vec::new(); n];
-    }
-    let b = Mat::from_fn(n, columns.len(), |i, j| columns[j][i]);
-    let k =
-        Mat::from_fn(n, n, |i, j| COMMON_VELOCITY_LN * COMMON_VELOCITY_LN + if i == j { vs_ln * vs_ln } else { 0.0 });
-    let (Some(inverse), m) = (super::algebra::inverse(&k), columns.len()) else { return vec![Vec::new(); n] };
-    let precision = b.transpose() * &inverse * &b;
-    // With precision = C Cᵀ, L = C⁻ᵀ.
-    let Ok(factor) = precision.llt(Side::Lower) else { return vec![Vec::new(); n] };
-    let c = factor.L().to_owned();
-    let mut l = Mat::<f64>::zeros(m, m);
-    for column in 0..m {
-        // Solves Cᵀ x = e_column from the end.
-        for i in (0..m).rev() {
-            let rest: f64 = (i + 1..m).map(|j| c[(j, i)] * l[(j, column)]).sum();
-            l[(i, column)] = (f64::from(u8::from(i == column)) - rest) / c[(i, i)];
-        }
-    }
-    let scaled = &b * &l;
-    (0..n).map(|i| (0..m).map(|j| scaled[(i, j)]).collect()).collect()
 }
 
 #[cfg(test)]

@@ -363,7 +363,7 @@ fn normal(slopes: &[Arc<Rows>], rows: &Rows) -> Mat<f64> {
 }
 
 /// Information of the records and the prior.
-fn information(model: &Model<'_>, g: &Mat<f64>) -> Mat<f64> {
+pub fn information(model: &Model<'_>, g: &Mat<f64>) -> Mat<f64> {
     let prior = model.prior();
     let n = prior.len();
     Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { 1.0 / prior[i][1].powi(2) } else { 0.0 })

@@ -1,4 +1,4 @@
-//! Closing the loop: what the model lacked, what correcting it was worth, and what could still hide.
+//! Closing the loop: what the model lacked, what correcting it was worth, and what remains.
 
 use maud::{Markup, html};
 
@@ -30,7 +30,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
     let entries = [
         ("loop-errors", "Errors before and after", !closing.errors.is_empty()),
         ("loop-candidates", "What was tried", !closing.candidates.is_empty()),
-        ("loop-rest", "What could still hide", closing_rest::is_any(closing)),
+        ("loop-rest", "What remains", closing_rest::is_any(closing)),
     ];
     let entries = entries.iter().filter(|e| e.2).map(|e| (e.0.to_string(), e.1.to_string())).collect();
     Some(Section { id: "loop", title: "Closing the loop".into(), entries, body })
@@ -215,17 +215,15 @@ fn candidates(candidates: &[Candidate]) -> Markup {
     html! {
         div.scroll { table {
             caption {
-                "Gain: fall of the cost on training and validation events less the charge for the parameters of the effect. "
-                "● confirmed with the nonlinear column, ○ linear search only."
+                "Models fitted with the nonlinear column. ln odds: against what is declared, priors included."
                 @if candidates.len() > SHOWN { " The best " (SHOWN) " of " (candidates.len()) "." }
             }
-            thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th.n { "Round" } th.n { "Gain" } th.n { "of it on validation" } th.n { "Explains" } th { "" } } }
+            thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th.n { "Effects" } th.n { "ln odds" } th.n { "Fall of the cost on validation" } th.n { "Explains" } } }
             tbody { @for c in candidates.iter().take(SHOWN) {
                 tr {
                     td { (words(&c.kind)) } td { (c.target) } td { (c.class) } td.n { (c.round) }
                     td.n { (number::fixed(c.gain, 0)) } td.n { (number::fixed(c.validation_gain, 0)) }
                     td.n { (number::fixed(100.0 * c.explained_share, 0)) " %" }
-                    td { @if c.is_confirmed { "●" } @else { "○" } }
                 }
             } }
         } }

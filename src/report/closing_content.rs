@@ -13,12 +13,10 @@ pub struct Closing {
     pub effects: Vec<NamedEffect>,
     /// Kinds that explain the records about as well, each with what would tell it from the others.
     pub ambiguity: Vec<(String, String)>,
-    /// Effects that were tried, best first.
+    /// Models that were fitted, most probable first.
     pub candidates: Vec<Candidate>,
-    /// Share of the recalibrated model's excess that the named effects explain.
+    /// Share of the power of the recalibrated model's residual that the named effects explain.
     pub explained_share: Option<f64>,
-    /// Share of the recalibrated model's residual that is coherent with the recorded input.
-    pub input_coherent_share: Option<f64>,
     /// Names of the six predictions and of the ceiling, their medians and means over held-out events, in order.
     pub models: Vec<Model>,
     /// Errors of the six predictions at each sensor, held-out events first as given.
@@ -33,12 +31,8 @@ pub struct Closing {
     pub transfer: Vec<TransferRow>,
     /// Declared values outside their tolerance: what, how many standard deviations, the estimate.
     pub out_of_tolerance: Vec<(String, f64, Interval)>,
-    /// What could still hide.
-    pub bounds: Vec<Bound>,
-    /// Structure that remains.
-    pub remainder: Option<Remainder>,
-    /// What the residuals of the last model say by themselves, by output sensor.
-    pub evidence: Vec<SensorEvidence>,
+    /// What remains beside the answer.
+    pub rest: Option<Rest>,
     /// Corrections without physical meaning, where nothing named explains the records.
     pub generic: Option<Generic>,
     /// Remarks.
@@ -73,7 +67,7 @@ pub struct NamedEffect {
     pub parameters: Vec<(String, Interval)>,
 }
 
-/// An effect that was tried.
+/// A model that was fitted.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Candidate {
@@ -83,16 +77,14 @@ pub struct Candidate {
     pub target: String,
     /// `soil`, `boundary` or `sensor`.
     pub class: String,
-    /// Round of the search, from 1.
+    /// Number of effects of the model.
     pub round: usize,
-    /// Fall of the cost less the charge for its parameters.
+    /// ln of the odds against what is declared.
     pub gain: f64,
     /// Fall of the cost on validation events alone.
     pub validation_gain: f64,
-    /// Share of the excess it explains.
+    /// Share of the residual power that it explains.
     pub explained_share: f64,
-    /// Whether the nonlinear column confirmed it.
-    pub is_confirmed: bool,
 }
 
 /// One of the six predictions, or the ceiling.
@@ -199,49 +191,18 @@ pub struct TransferRow {
     pub n_event: usize,
 }
 
-/// The largest strength of an effect that the records leave open.
+/// What remains beside the answer.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Bound {
-    /// Name of the effect.
-    pub kind: String,
-    /// Where it would sit.
-    pub target: String,
-    /// Parameter that is bounded.
-    pub parameter: String,
-    /// The bound.
-    pub value: f64,
-    /// Its unit.
-    pub unit: String,
-}
-
-/// Mean squared residual over what noise explains: 1 where only noise is left.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Remainder {
-    /// Edges of the frequency bands, Hz.
-    pub edges_hz: Vec<f64>,
-    /// Levels of each sensor, one a band.
-    pub sensors: Vec<(String, Vec<f64>)>,
-    /// Levels of each sensor at the beginning, in the strong phase, after it and in the coda.
-    pub phases: Vec<(String, Vec<f64>)>,
-    /// Record, peak input acceleration (g) and level.
-    pub events: Vec<(String, f64, f64)>,
-}
-
-/// What the residual at one sensor says, whatever effects were tried.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SensorEvidence {
-    /// Sensor name.
-    pub sensor: String,
-    /// Share of the amplitude error that is the same in all events.
-    pub repeatable_share: Option<f64>,
-    /// Largest cross-correlation with the input over the bound for independent ones.
-    pub dependence: Option<f64>,
-    /// Share of the record's power that stays unexplained on validation events, before and after a smooth factor without
-    /// physical meaning.
-    pub generic: Option<[f64; 2]>,
+pub struct Rest {
+    /// `noise`, `incoherent` or `unnamed`.
+    pub verdict: String,
+    /// Its power over that of the records, noise of sensors taken off.
+    pub share: f64,
+    /// The part of it that is the same in all events.
+    pub repeatable_share: f64,
+    /// Coherence of each output sensor with the prediction: frequency (Hz) and c.
+    pub coherence: Vec<(String, Vec<[f64; 2]>)>,
 }
 
 /// Corrections without physical meaning.

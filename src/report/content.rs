@@ -7,8 +7,7 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::closing_content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Remainder,
-    SensorEvidence, TransferRow,
+    Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest, TransferRow,
 };
 
 /// The whole report of one site.

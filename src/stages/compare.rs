@@ -35,10 +35,8 @@ pub struct Loop {
     pub ambiguity: Vec<String>,
     /// Effects that were tried, best first.
     pub candidates: Vec<Tried>,
-    /// Share of the recalibrated model's excess that the named effects explain.
+    /// Share of the power of the recalibrated model's residual that the named effects explain.
     pub explained_share: Option<f64>,
-    /// Share of the recalibrated model's residual that is coherent with the recorded input.
-    pub input_coherent_share: Option<f64>,
     /// Six errors of each event, component and sensor.
     pub errors: Vec<ErrorRow>,
     /// What the held-out events say.
@@ -72,9 +70,9 @@ pub struct Tried {
     pub target: Option<String>,
     /// What it acts on.
     pub class: Class,
-    /// Fall of the cost less the charge for its parameters.
+    /// ln of the odds against what is declared.
     pub gain: f64,
-    /// Share of the excess it explains.
+    /// Share of the residual power that it explains.
     pub explained_share: f64,
 }
 
@@ -88,7 +86,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -174,7 +172,6 @@ impl Loop {
             ambiguity: diagnosis.ambiguity.clone(),
             candidates: tried.collect(),
             explained_share: diagnosis.explained_share,
-            input_coherent_share: diagnosis.input_coherent_share,
             errors,
             summary,
             generic: None,

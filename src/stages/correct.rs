@@ -4,7 +4,7 @@
 //! effect the corrected manifest is the declared one: a second pass on it then finds everything in the cache.
 
 use super::diagnose;
-use crate::diagnosis::{Diagnosis, Found, Verdict};
+use crate::diagnosis::{Diagnosis, Verdict};
 use crate::effects;
 use crate::error::{Context, Result};
 use crate::pipeline::{Stage, Task};
@@ -53,7 +53,7 @@ impl Stage for Correct {
     }
 
     fn version(&self) -> u32 {
-        2
+        3
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -66,24 +66,16 @@ impl Stage for Correct {
     }
 }
 
-/// The `[[effects]]` that a diagnosis adds. Where structure remains that has no name, only those effects are trusted that
-/// hold whatever the profile; without any there is nothing to correct.
+/// The `[[effects]]` that a diagnosis adds: the named ones, whatever remains beside them; without any there is nothing to correct.
 ///
-/// They come in the order in which they were fitted: what stands, then recalibrated values, then what was found on top of them. A
-/// damping multiplier scales what is declared, and a turn before a reflection is not the same turn after it.
+/// Recalibrated values come first, as they were fitted: a damping multiplier scales what is declared, and a turn before a reflection is
+/// not the same turn after it.
 pub fn correction(diagnosis: &Diagnosis) -> Vec<Table> {
-    let (standing, found): (Vec<&Found>, Vec<&Found>) = diagnosis.effects.iter().partition(|e| e.is_standing);
-    let (found, nuisances) = match diagnosis.verdict {
-        Verdict::Known | Verdict::Ambiguous => (found, &diagnosis.corrected_nuisances),
-        // Nothing was fitted beside what stands but these.
-        Verdict::None | Verdict::Unknown if found.is_empty() => (found, &diagnosis.corrected_nuisances),
-        Verdict::None | Verdict::Unknown => (Vec::new(), &diagnosis.nuisances),
-    };
-    if standing.is_empty() && found.is_empty() {
+    if diagnosis.effects.is_empty() || matches!(diagnosis.verdict, Verdict::None | Verdict::Unknown) {
         return Vec::new();
     }
-    let tables = |named: Vec<&Found>| named.into_iter().map(|e| e.table.clone()).collect::<Vec<_>>();
-    [tables(standing), nuisances.clone(), tables(found)].concat()
+    let found = diagnosis.effects.iter().map(|e| &e.table);
+    diagnosis.corrected_nuisances.iter().chain(found).cloned().collect()
 }
 
 /// Writes the section `effects`: those of the manifest, then those `added` that have something to act on.
@@ -103,28 +95,21 @@ mod tests {
     use super::*;
     use serde_json::json;
 
-    fn diagnosis(verdict: &str, effects: &[(&str, bool)]) -> Diagnosis {
-        let found = |(kind, is_standing): &(&str, bool)| {
-            json!({ "kind": kind, "target": "", "class": "sensor", "table": { "kind": kind }, "parameters": {},
-                "gain": 1.0, "validation_gain": 1.0, "is_standing": is_standing })
-        };
-        Diagnosis::made_up(json!({
-            "verdict": verdict, "effects": effects.iter().map(found).collect::<Vec<_>>(),
-            "nuisances": [{ "kind": "alone" }], "corrected_nuisances": [{ "kind": "beside" }],
-        }))
-    }
-
     #[test]
     fn a_correction_comes_in_the_order_in_which_it_was_fitted() {
-        let kinds = |verdict: &str, effects: &[(&str, bool)]| -> Vec<String> {
-            let tables = correction(&diagnosis(verdict, effects));
+        let kinds = |verdict: &str, effects: &[&str]| -> Vec<String> {
+            let found = |kind: &&str| {
+                json!({ "kind": kind, "target": "", "class": "sensor", "table": { "kind": kind }, "parameters": {},
+                    "gain": 1.0, "validation_gain": 1.0 })
+            };
+            let tables = correction(&Diagnosis::made_up(json!({
+                "verdict": verdict, "effects": effects.iter().map(found).collect::<Vec<_>>(),
+                "nuisances": [{ "kind": "alone" }], "corrected_nuisances": [{ "kind": "beside" }],
+            })));
             tables.iter().filter_map(|t| Some(t.get("kind")?.as_str()?.to_string())).collect()
         };
-        let both = [("found", false), ("standing", true)];
-        assert_eq!(kinds("known", &both), ["standing", "beside", "found"]);
-        assert_eq!(kinds("unknown", &both), ["standing", "alone"]);
-        assert_eq!(kinds("unknown", &both[1..]), ["standing", "beside"]);
-        assert_eq!(kinds("known", &both[..1]), ["beside", "found"]);
-        assert!(kinds("unknown", &both[..1]).is_empty() && kinds("none", &[]).is_empty());
+        assert_eq!(kinds("known", &["one", "other"]), ["beside", "one", "other"]);
+        assert_eq!(kinds("ambiguous", &["one"]), ["beside", "one"]);
+        assert!(kinds("unknown", &[]).is_empty() && kinds("none", &[]).is_empty());
     }
 }

@@ -1,13 +1,11 @@
 //! What the declared model lacks, by the records of training and validation events.
 
 use super::artifact::{read_toml, write_json, write_toml};
-use super::null_twins;
 use super::problem::{Bench, READS};
-use crate::diagnosis::{self, DiagnoseSettings, Diagnosis, Method, Problem, Replay, Thresholds};
+use crate::diagnosis::{DiagnoseSettings, Diagnosis};
 use crate::error::Result;
 use crate::inference;
 use crate::pipeline::{Stage, Task};
-use crate::progress::Progress;
 use std::path::Path;
 
 /// Diagnoses the declared model.
@@ -26,7 +24,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        40
+        41
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -40,27 +38,9 @@ impl Stage for Diagnose {
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let bench = Bench::of(task)?;
         let settings: DiagnoseSettings = task.section("diagnose")?;
-        let thresholds = null_twins::read(task.input("thresholds")?)?;
-        let found = diagnosed(&bench.problem, &bench, &settings, &thresholds, task.progress())?;
+        let found = inference::diagnose(&bench.problem, &bench, &settings, task.progress())?;
         write_json(&task.output_dir().join("diagnosis.json"), &found)?;
         write_toml(&task.output_dir().join(FILE), &found)
-    }
-}
-
-/// The diagnosis of `problem` by the method of `settings`.
-///
-/// # Errors
-/// When an event is unusable, the column cannot be built or replayed.
-pub fn diagnosed(
-    problem: &Problem,
-    replay: &dyn Replay,
-    settings: &DiagnoseSettings,
-    thresholds: &Thresholds,
-    progress: &dyn Progress,
-) -> Result<Diagnosis> {
-    match settings.method {
-        Method::Search => diagnosis::diagnose(problem, replay, settings, thresholds, progress),
-        Method::Competition => inference::diagnose(problem, replay, settings, progress),
     }
 }
 

@@ -13,7 +13,6 @@ mod extend;
 mod generic;
 mod instrument;
 mod motions;
-mod null_twins;
 mod other_source;
 pub mod predict;
 mod pretrain;
@@ -29,7 +28,7 @@ mod source_study;
 pub mod twins;
 
 pub use evaluate::Evaluation;
-pub use null_twins::read as thresholds;
+pub use problem::Bench;
 pub use records::measured;
 
 use crate::pipeline::Stage;
@@ -45,13 +44,11 @@ pub const STAGES: &[&dyn Stage] = &[
     &distill::Distill,
     &calibrate::Calibrate,
     &evaluate::Evaluate,
-    &null_twins::NullTwins,
     &diagnose::Diagnose,
     &correct::Recalibrate,
     &correct::Correct,
     &extend::Extend,
     &compare::Compare,
-    &twins::TwinThresholds,
     &twins::Twins,
     &other_source::OtherSource,
     &source_study::SourceStudy,

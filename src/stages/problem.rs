@@ -5,7 +5,7 @@ use super::instrument::{Instrument, by_event};
 use super::records;
 use super::replay::{base_motions, replayed};
 use super::shake::{Response, shake};
-use crate::diagnosis::{self, DiagnoseSettings, Event, Method, Motions, NoiseSpectrum, Problem, Replay};
+use crate::diagnosis::{self, DiagnoseSettings, Event, Motions, NoiseSpectrum, Problem, Replay};
 use crate::effects::Situation;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, LayerSection, Tolerances};
@@ -86,12 +86,8 @@ impl<'a> Bench<'a> {
         let declared = sections;
         let sections = refined(declared.clone(), diagnose);
         // What is sought in soil is not to make up for what elements leave wrong.
-        let fine = match diagnose.method {
-            Method::Competition => {
-                ColumnSections { site: meshed(declared, PER_WAVE, diagnose.band_hz[1]).site, ..sections.clone() }
-            }
-            Method::Search => sections.clone(),
-        };
+        let meshed = meshed(declared, PER_WAVE, diagnose.band_hz[1]);
+        let fine = ColumnSections { site: meshed.site, ..sections.clone() };
         let noise: Vec<_> =
             events.iter().map(|(_, r)| r.iter().map(|r| diagnosis::noise(r, settings.noise)).collect()).collect();
         let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
@@ -154,14 +150,12 @@ fn refined(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSecti
     sections
 }
 
-/// `sections` with the elements of [`Replay::replay_roughly`] and the steps of the manifest; where fits follow slopes closely, all of one
-/// length: where steps are shortened goes by thresholds, so that motions would jump by a little as parameters change.
+/// `sections` with the elements of [`Replay::replay_roughly`] and the steps of the manifest, all of one
+/// length: where steps are shortened goes by limits, so that motions would jump by a little as parameters change.
 fn roughened(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
     let mut sections = coarsened(sections, ROUGHLY_PER_WAVE, settings.band_hz[1]);
-    if settings.method == Method::Competition {
-        let analysis = &mut sections.analysis;
-        (analysis.initial_step_s, analysis.max_jump) = (analysis.max_step_s, f64::INFINITY);
-    }
+    let analysis = &mut sections.analysis;
+    (analysis.initial_step_s, analysis.max_jump) = (analysis.max_step_s, f64::INFINITY);
     sections
 }
 
@@ -263,21 +257,6 @@ impl Replay for Bench<'_> {
         let by_record = self.events.iter().zip(is_run).flat_map(|(r, is_run)| std::iter::repeat_n(is_run, r.len()));
         Ok(by_record.map(|is_run| if is_run { found.next().flatten() } else { None }).collect())
     }
-
-    fn replay_noisier(&self, effects: &[Table]) -> Result<Motions> {
-        let recorded = &mut self.problem.events.iter();
-        let noisier = self.events.iter().map(|records| {
-            let of = |(record, known): (&Record, &Event)| {
-                let mut record = record.clone();
-                let seed = format!("{} {}", record.event, record.component);
-                record.input.acceleration_m_s2 = diagnosis::noisier(&known.input, known.dt_s, &known.noise[0], &seed);
-                record
-            };
-            records.iter().zip(&mut *recorded).map(of).collect()
-        });
-        let noisier: Vec<Vec<Record>> = noisier.collect();
-        self.replay_of(&self.rough, &noisier, effects)
-    }
 }
 
 impl Bench<'_> {
@@ -316,10 +295,10 @@ mod tests {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(name);
             let site = Manifest::load(&path, &[]).expect("a sound site").site;
             let sections = site.column();
-            let settings = DiagnoseSettings { method: Method::Search, ..DiagnoseSettings::default() };
+            let settings = DiagnoseSettings::default();
             let fine = refined(sections.clone(), &settings);
             let rough = roughened(sections.clone(), &settings);
-            assert_eq!(rough.analysis, sections.analysis);
+            assert_eq!(rough.analysis.max_step_s, sections.analysis.max_step_s);
             assert!(fine.analysis.max_step_s <= rough.analysis.max_step_s);
             [fine.site.elements, rough.site.elements]
         };

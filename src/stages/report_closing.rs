@@ -1,17 +1,15 @@
 //! From a diagnosis and a comparison to the report's section on closing the loop.
 
 use super::{compare, diagnose};
-use crate::diagnosis::{Diagnosis, Estimate, Six, Summary, Verdict};
+use crate::diagnosis::{Diagnosis, Estimate, RestVerdict, Six, Summary, Verdict};
 use crate::effects::{self, Class};
 use crate::error::Result;
 use crate::metrics::{BiasSigma, LnRatio, SensorTransfer};
 use crate::pipeline::Task;
 use crate::records::Split;
 use crate::report::content::{
-    Bound, Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Remainder,
-    SensorEvidence, TransferRow,
+    Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest, TransferRow,
 };
-use crate::units::G_M_S2;
 
 /// The section's content, where the pipeline closes the loop.
 ///
@@ -55,7 +53,6 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
         ambiguity: diagnosis.ambiguity.iter().map(|kind| (kind.clone(), key(kind))).collect(),
         candidates: candidates(&diagnosis),
         explained_share: diagnosis.explained_share,
-        input_coherent_share: diagnosis.input_coherent_share,
         models: models
             .map(|(name, (median_percent, (mean_percent, ci95_percent)))| Model {
                 name: (*name).into(),
@@ -70,9 +67,7 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
         field: field(summary),
         transfer: transfer(summary),
         out_of_tolerance: alarms.map(|a| (a.what.clone(), a.deviations, interval(&a.estimate))).collect(),
-        bounds: bounds(&diagnosis),
-        remainder: remainder(&diagnosis),
-        evidence: sensor_evidence(&diagnosis),
+        rest: diagnosis.rest.as_ref().map(rest),
         generic,
         notes: diagnosis.notes,
     }))
@@ -198,43 +193,20 @@ fn candidates(diagnosis: &Diagnosis) -> Vec<Candidate> {
         gain: c.gain,
         validation_gain: c.validation_gain,
         explained_share: c.explained_share,
-        is_confirmed: c.is_confirmed,
     };
     diagnosis.candidates.iter().map(candidate).collect()
 }
 
-fn bounds(diagnosis: &Diagnosis) -> Vec<Bound> {
-    let bound = |b: &crate::diagnosis::UpperBound| Bound {
-        kind: b.kind.clone(),
-        target: b.target.clone(),
-        parameter: b.parameter.clone(),
-        value: b.value,
-        unit: b.unit.clone(),
+fn rest(rest: &crate::diagnosis::Rest) -> Rest {
+    let verdict = match rest.verdict {
+        RestVerdict::Noise => "noise",
+        RestVerdict::Incoherent => "incoherent",
+        RestVerdict::Unnamed => "unnamed",
     };
-    diagnosis.upper_bounds.iter().map(bound).collect()
-}
-
-fn remainder(diagnosis: &Diagnosis) -> Option<Remainder> {
-    let left = &diagnosis.remainder;
-    (!left.event.is_empty()).then(|| Remainder {
-        edges_hz: left.edges_hz.clone(),
-        phases: left.sensor_phase.iter().map(|(name, levels)| (name.clone(), levels.clone())).collect(),
-        sensors: left.sensor_band.iter().map(|(name, levels)| (name.clone(), levels.clone())).collect(),
-        events: left
-            .event
-            .iter()
-            .map(|e| (format!("{} {}", e.event, e.component), e.input_pga_m_s2 / G_M_S2, e.level))
-            .collect(),
-    })
-}
-
-fn sensor_evidence(diagnosis: &Diagnosis) -> Vec<SensorEvidence> {
-    let found = &diagnosis.evidence;
-    let of = |(sensor, share): (&String, &f64)| SensorEvidence {
-        sensor: sensor.clone(),
-        repeatable_share: Some(*share),
-        dependence: found.dependence.get(sensor).copied(),
-        generic: found.generic.get(sensor).map(|g| g.validation),
-    };
-    found.repeatable_share.iter().map(of).collect()
+    Rest {
+        verdict: verdict.into(),
+        share: rest.share,
+        repeatable_share: rest.repeatable_share,
+        coherence: rest.coherence.iter().map(|(sensor, c)| (sensor.clone(), c.clone())).collect(),
+    }
 }

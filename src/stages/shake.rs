@@ -6,8 +6,9 @@ use crate::dataset::all_sensor_histories;
 use crate::effects::{Effect, Situation};
 use crate::error::{Context, Error, Result};
 use crate::manifest::ColumnSections;
+use crate::numerics::lanes::Width;
 use crate::numerics::resample::resample_band_limited;
-use crate::numerics::threads::on_threads;
+use crate::numerics::threads::{self, on_threads};
 use crate::pipeline::{Item, Task, content_hash};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -90,14 +91,17 @@ pub fn shake(
     read(&folder.map_err(|reason| Error::new("the column cannot be shaken").cause(reason))?)
 }
 
-/// Motions that are run together: for every thread its part of those of a column that takes them side by side, else one by one.
+/// Motions that are run together: of those of a column that takes them side by side as many as it takes, or for every thread its part of
+/// more; else one by one.
 fn hands(columns: &[Column], shaken: &[usize], motions: &[BaseMotion<'_>]) -> Vec<Vec<usize>> {
     let mut hands: Vec<Vec<usize>> = Vec::new();
     for (number, column) in columns.iter().enumerate() {
         let mut own: Vec<usize> = (0..motions.len()).filter(|i| shaken[*i] == number).collect();
         let duration_s = |i: &usize| motions[*i].acceleration_m_s2.len() as f64 * motions[*i].dt_s;
         own.sort_by(|a, b| duration_s(b).total_cmp(&duration_s(a)));
-        let count = if column.is_batched() { rayon::current_num_threads().min(own.len()) } else { own.len() };
+        // A motion alone takes as long as all that it has company for.
+        let filled = own.len().div_ceil(Width::widest().lanes());
+        let count = if column.is_batched() { threads::available().min(filled) } else { own.len() };
         let dealt = |hand: usize| own.iter().skip(hand).step_by(count.max(1)).copied().collect();
         hands.extend((0..count).map(dealt));
     }

@@ -2,16 +2,16 @@
 
 use super::artifact::{read_toml, write_json, write_toml};
 use super::correct::correction;
-use super::diagnose::diagnosed;
 use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
 use super::problem::{Bench, READS};
-use super::{null_twins, records};
-use crate::diagnosis::{DiagnoseSettings, Diagnosis, Method, Thresholds, recalibrated, thresholds};
+use super::records;
+use crate::diagnosis::{DiagnoseSettings, Diagnosis};
 use crate::error::{Error, Result};
+use crate::inference;
 use crate::manifest::{ColumnSections, Tolerances};
 use crate::metrics::median;
-use crate::pipeline::{Item, Stage, Task, content_hash};
+use crate::pipeline::{Item, Stage, Task};
 use crate::progress::Quiet;
 use crate::records::{Record, RecordSettings, Split};
 use crate::twin::{self, Case, Four, Matrix, Outcome, Recovered, Report, Truth};
@@ -19,20 +19,17 @@ use rayon::prelude::*;
 use std::path::Path;
 use toml::{Table, Value};
 
-/// Alarm thresholds of the array under the events of the matrix.
-pub struct TwinThresholds;
-
 /// Runs the matrix.
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 38);
+const TWIN: (&str, u32) = ("twin", 39);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
 const STEP_S: f64 = 0.05;
 
-/// What both stages read: the problem and the section `twins` that the command adds.
+/// What the stage reads: the problem and the section `twins` that the command adds.
 const SECTIONS: &[&str] = &{
     let mut all = [""; READS.len() + 1];
     let mut i = 0;
@@ -44,37 +41,6 @@ const SECTIONS: &[&str] = &{
     all
 };
 
-impl Stage for TwinThresholds {
-    fn kind(&self) -> &'static str {
-        "twin-thresholds"
-    }
-
-    fn about(&self) -> &'static str {
-        "alarm thresholds of the diagnosis for a matrix of twins"
-    }
-
-    fn version(&self) -> u32 {
-        25
-    }
-
-    fn reads(&self) -> &'static [&'static str] {
-        SECTIONS
-    }
-
-    fn run(&self, task: &Task<'_>) -> Result<()> {
-        let stand = Stand::of(task)?;
-        let truth = stand.matrix.template(&stand.truth, stand.seed);
-        let events = stand.record(&truth, &[Split::Train, Split::Validation])?;
-        let bench = stand.bench(events)?;
-        let found = match stand.settings.method {
-            Method::Search => thresholds(&bench.problem, Some(&bench), &stand.settings, task.progress())?,
-            // Models compete by their evidence: there is no threshold.
-            Method::Competition => Thresholds::default(),
-        };
-        null_twins::write(task.output_dir(), &found)
-    }
-}
-
 impl Stage for Twins {
     fn kind(&self) -> &'static str {
         "twins"
@@ -85,7 +51,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        37
+        38
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -98,12 +64,11 @@ impl Stage for Twins {
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let stand = Stand::of(task)?;
-        let thresholds = null_twins::read(task.input("thresholds")?)?;
         let array = stand.sections.array(&stand.records.components)?;
         let cases = stand.matrix.cases(&stand.truth, &array, stand.seed)?;
-        let items = cases.iter().map(|case| stand.item(task, case, &thresholds)).collect::<Result<Vec<_>>>()?;
+        let items = cases.iter().map(|case| stand.item(task, case)).collect::<Result<Vec<_>>>()?;
         let outcomes = task.items(TWIN.0, TWIN.1, &items, |i, folder| {
-            write_toml(&folder.join("twin.toml"), &stand.outcome(&cases[i], &thresholds)?)
+            write_toml(&folder.join("twin.toml"), &stand.outcome(&cases[i])?)
         })?;
         let (mut done, mut failed) = (Vec::new(), Vec::new());
         for outcome in outcomes {
@@ -150,13 +115,11 @@ impl Stand {
         })
     }
 
-    fn item(&self, task: &Task<'_>, case: &Case, thresholds: &Thresholds) -> Result<Item> {
+    fn item(&self, task: &Task<'_>, case: &Case) -> Result<Item> {
         let text = |e: toml::ser::Error| Error::new("a twin cannot be written as TOML").cause(e);
         let mut parameters = task.parameters().clone();
         parameters.remove("twins");
         parameters.insert("truth".into(), Value::try_from(&case.truth).map_err(text)?);
-        let thresholds = format!("{thresholds:?}");
-        parameters.insert("thresholds".into(), Value::String(content_hash(thresholds.as_bytes())));
         Ok(Item { id: format!("{} {}", case.cell, case.number), parameters })
     }
 
@@ -176,16 +139,16 @@ impl Stand {
         Bench::new(None, self.sections.clone(), &self.settings, self.tolerances.clone(), self.records.clone(), events)
     }
 
-    fn outcome(&self, case: &Case, thresholds: &Thresholds) -> Result<Outcome> {
+    fn outcome(&self, case: &Case) -> Result<Outcome> {
         let start = std::time::Instant::now();
         let seen = self.record(&case.truth, &[Split::Train, Split::Validation])?;
         let bench = self.bench(seen)?;
-        let diagnosis = diagnosed(&bench.problem, &bench, &self.settings, thresholds, &Quiet)?;
+        let diagnosis = inference::diagnose(&bench.problem, &bench, &self.settings, &Quiet)?;
         let held_out: Vec<Vec<Record>> =
             self.record(&case.truth, &[Split::Test])?.into_iter().map(|(_, records)| records).collect();
         let error = |tables: &[Table]| self.error(&bench, tables, &held_out);
         let with_recalibration = |mut tables: Vec<Table>| -> Result<Option<f64>> {
-            tables.extend(recalibrated(&bench.problem, &bench, &tables, &self.settings, thresholds)?);
+            tables.extend(inference::recalibrate(&bench.problem, &bench, &self.settings, &tables)?);
             error(&tables)
         };
         let corrected = correction(&diagnosis);

@@ -134,14 +134,6 @@ impl Matrix {
         Ok(cases)
     }
 
-    /// A twin that lacks nothing, for the alarm thresholds of its array.
-    pub fn template(&self, truth: &Truth, seed: u64) -> Truth {
-        let mut random = random::stream(seed, "twin template");
-        let [low, high] = self.noise_rms_share;
-        let noise = crate::records::Noise { rms_share: 0.5 * (low + high), ..Default::default() };
-        Truth { seed: random.random::<u64>() >> 1, noise, effects: Vec::new(), outside: Vec::new(), ..truth.clone() }
-    }
-
     fn noise(&self, random: &mut impl Rng) -> crate::records::Noise {
         let [low, high] = self.noise_rms_share;
         crate::records::Noise { rms_share: low + (high - low) * random.random::<f64>(), ..Default::default() }

@@ -26,11 +26,11 @@ pub struct Outcome {
     /// What remains, where that was told.
     #[serde(default)]
     pub rest: Option<RestVerdict>,
-    /// Kinds of the first round, best first.
+    /// Kinds of models of one effect, best first.
     pub ranked: Vec<String>,
     /// Gain of the best candidate.
     pub gain: f64,
-    /// Share of the excess that was explained.
+    /// Share of the residual power that was explained.
     pub explained_share: Option<f64>,
     /// Parameters of rightly named effects.
     pub parameters: Vec<Recovered>,
@@ -113,7 +113,7 @@ pub struct Tally {
     pub right: Share,
     /// Twins called known with a name that does not hold.
     pub wrong: Share,
-    /// Twins whose first effect is the best candidate of the search, whatever was announced.
+    /// Twins whose first effect is the best model of one effect, whatever was announced.
     pub top_1: Share,
     /// Twins whose first effect is among the best three kinds.
     pub top_3: Share,
@@ -132,6 +132,9 @@ pub struct Tally {
 pub struct Report {
     /// Seed of the matrix.
     pub seed: u64,
+    /// Factor on the half-widths of all 95 % intervals with which they would hold 95 % of their truths.
+    #[serde(default)]
+    pub inflation: Option<f64>,
     /// Tally of each cell.
     pub cells: BTreeMap<String, Tally>,
     /// The same of twins with effects whose recalibrated error exceeds the floor by more than 15 %; of several effects each must, where
@@ -164,7 +167,19 @@ impl Report {
             groups.into_iter().map(|(name, group)| (name, Tally::of(&group))).collect()
         };
         let (cells, surviving) = (of(cells), of(surviving));
-        Self { seed, cells, surviving, confusion, failed, outcomes }
+        let distances: Vec<f64> = outcomes.iter().flat_map(|o| &o.parameters).map(Recovered::distance).collect();
+        let inflation = (!distances.is_empty()).then(|| quantile(&distances, 0.95));
+        Self { seed, inflation, cells, surviving, confusion, failed, outcomes }
+    }
+}
+
+impl Recovered {
+    /// How far the truth is from what was found, over the distance of the end of the interval on that side.
+    fn distance(&self) -> f64 {
+        let [low, high] = self.ci95;
+        let off = self.truth - self.value;
+        let half = if off < 0.0 { self.value - low } else { high - self.value };
+        if off == 0.0 { 0.0 } else { off.abs() / half.max(0.0) }
     }
 }
 
@@ -397,5 +412,20 @@ mod tests {
         assert_eq!((tally.right_class.hits, tally.null_alarms.hits, tally.wrong.hits), (2, 1, 1));
         assert_eq!(tally.incoherent.map(|share| (share.hits, share.of)), Some((1, 3)));
         assert!(Tally::of(&[&outcome(&[], Verdict::None, &[], &[])]).incoherent.is_none());
+    }
+
+    #[test]
+    fn the_factor_on_intervals_is_that_with_which_they_would_hold() {
+        // Truths at multiples of the half-width from 0.1 to 2.0, on either side in turn.
+        let parameter = |i: i32| {
+            let off = 0.1 * f64::from(i) * if i % 2 == 0 { 0.5 } else { -0.2 };
+            Recovered { name: "p".into(), truth: 3.0 + off, value: 3.0, ci95: [2.8, 3.5] }
+        };
+        let mut one = outcome(&["a"], Verdict::Known, &["a"], &["a"]);
+        one.parameters = (1..=20).map(parameter).collect();
+        let report = Report::new(1, vec![one], Vec::new());
+        assert!(report.inflation.is_some_and(|f| (1.8..=2.0).contains(&f)), "{:?}", report.inflation);
+        assert_eq!(report.cells["c"].coverage.hits, 10);
+        assert_eq!(Report::new(1, Vec::new(), Vec::new()).inflation, None);
     }
 }

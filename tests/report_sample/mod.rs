@@ -204,7 +204,7 @@ fn study() -> Study {
 fn closing() -> Closing {
     let interval =
         |value: f64, half: f64, unit: &str| Interval { value, unit: unit.into(), ci95: [value - half, value + half] };
-    let candidate = |kind: &str, target: &str, class: &str, gain: f64, is_confirmed: bool| Candidate {
+    let candidate = |kind: &str, target: &str, class: &str, gain: f64| Candidate {
         kind: kind.into(),
         target: target.into(),
         class: class.into(),
@@ -212,7 +212,6 @@ fn closing() -> Closing {
         gain,
         validation_gain: 0.3 * gain,
         explained_share: gain / 700.0,
-        is_confirmed,
     };
     let mut noise = Noise(11);
     let levels = [61.0, 38.0, 14.0, 33.0, 21.0, 9.0, 12.0];
@@ -262,12 +261,11 @@ fn closing() -> Closing {
             ("stiff_crust".into(), String::new()),
         ],
         candidates: vec![
-            candidate("structure_interaction", "surface", "boundary", 640.0, true),
-            candidate("stiff_crust", "", "soil", 633.0, true),
-            candidate("sensor_gain", "FA1-5", "sensor", 120.0, false),
+            candidate("structure_interaction", "surface", "boundary", 640.0),
+            candidate("stiff_crust", "", "soil", 633.0),
+            candidate("sensor_gain", "FA1-5", "sensor", 120.0),
         ],
         explained_share: Some(0.93),
-        input_coherent_share: Some(0.71),
         models: models.collect(),
         errors,
         ablation_percent: Some(29.4),
@@ -286,31 +284,17 @@ fn closing() -> Closing {
             n_event: 11,
         }],
         out_of_tolerance: vec![("shear-wave velocity at 0–6 m".into(), -3.8, interval(-0.13, 0.03, ""))],
-        bounds: vec![Bound {
-            kind: "clock_offset".into(),
-            target: "DHB6".into(),
-            parameter: "offset_s".into(),
-            value: 0.0042,
-            unit: "s".into(),
-        }],
-        remainder: Some(Remainder {
-            edges_hz: vec![0.0, 0.5, 1.0, 2.0, 3.5, 5.0, 7.0, 10.0],
-            sensors: SENSORS
+        rest: Some(Rest {
+            verdict: "incoherent".into(),
+            share: 0.21,
+            repeatable_share: 0.03,
+            coherence: SENSORS
                 .iter()
-                .map(|(name, _)| ((*name).to_string(), (0..7).map(|_| (0.4 * noise.next()).exp()).collect()))
+                .map(|(name, _)| {
+                    ((*name).to_string(), (0..7).map(|k| [0.3 * 1.7f64.powi(k), 1.0 - 0.08 * f64::from(k)]).collect())
+                })
                 .collect(),
-            phases: SENSORS.iter().map(|(name, _)| ((*name).to_string(), vec![0.9, 1.4, 1.2, 1.0])).collect(),
-            events: EVENTS.iter().map(|(name, _, pga)| ((*name).to_string(), 0.1 * pga, 1.1)).collect(),
         }),
-        evidence: SENSORS
-            .iter()
-            .map(|(name, depth)| SensorEvidence {
-                sensor: (*name).into(),
-                repeatable_share: Some(0.6),
-                dependence: Some(1.3),
-                generic: (*depth == 0.0).then_some([0.08, 0.05]),
-            })
-            .collect(),
         generic: Some(Generic {
             models: vec![("Finite elements, a smooth factor for each sensor".into(), [Some(40.0), Some(31.0)])],
             changes: vec![change("fe", "fe_generic", -7.0, true)],

@@ -8,6 +8,7 @@ use crate::inference::forward::Prediction;
 use crate::inference::parameters::{Model, prior_of};
 use crate::inference::posterior::{Fit, Fitter, Start, combined, gradient, square};
 use crate::inference::weights::{Rows, line_hz};
+use crate::numerics::threads::on_threads;
 use faer::Mat;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -46,6 +47,7 @@ struct Direction {
 }
 
 /// An effect of a proposal.
+#[derive(Clone)]
 pub(super) struct Part {
     pub instance: Instance,
     /// Coordinates to start from.
@@ -65,6 +67,7 @@ impl Part {
 }
 
 /// Candidates that are worth a fit.
+#[derive(Clone)]
 pub(super) struct Proposal {
     pub parts: Vec<Part>,
     /// Effect of the model whose place they take.
@@ -144,21 +147,25 @@ impl<'a> Competition<'a> {
         let n_effect = base.model.effects.len();
         let n_open = self.max_effects.saturating_sub(n_effect);
         let discrete = if n_open > 0 { Self::nodes(&discrete, NODES[0], false) } else { Vec::new() };
-        let discrete = discrete.into_iter().map(|node| Self::at_line(by, base, node));
-        let mut proposals: Vec<Proposal> = discrete.filter_map(|node| self.discrete(by, base, node)).collect();
+        let discrete =
+            on_threads(discrete.len(), |i| self.discrete(by, base, Self::at_line(by, base, discrete[i].clone())));
+        let mut proposals: Vec<Proposal> = discrete.into_iter().flatten().collect();
         if n_open == 0 && look != Look::AtRivals {
             return proposals;
         }
-        let along = |nodes: Vec<Node>| nodes.into_iter().filter_map(|n| Self::direction(by, base, n)).collect();
+        let along = |nodes: Vec<Node>| -> Vec<Direction> {
+            on_threads(nodes.len(), |i| Self::direction(by, base, nodes[i].clone())).into_iter().flatten().collect()
+        };
         // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
         // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
         // Further nodes are multiples of these, which come first.
         let nodes = Self::nodes(&smooth, NODES[usize::from(is_far)], is_far);
-        let mut all: Vec<Direction> = nodes.into_iter().filter_map(|n| Self::told(by, base, n)).collect();
+        let told = on_threads(nodes.len(), |i| Self::told(by, base, nodes[i].clone()));
+        let mut all: Vec<Direction> = told.into_iter().flatten().collect();
         if !is_far {
-            all.extend::<Vec<Direction>>(along(Self::nodes(&smooth, SLIGHT, false)));
+            all.extend(along(Self::nodes(&smooth, SLIGHT, false)));
             let further = self.further(by, base, &all);
-            all.extend::<Vec<Direction>>(along(further));
+            all.extend(along(further));
         }
         let Some(beside) = Linear::new(by, base, &all) else { return proposals };
         if n_open > 0 {

@@ -4,6 +4,7 @@ use super::{Fitter, JITTER, Point, combined, information};
 use crate::inference::algebra::inverse;
 use crate::inference::parameters::Model;
 use crate::inference::weights::Rows;
+use crate::numerics::threads::on_threads;
 use faer::linalg::solvers::Solve;
 use faer::{Mat, Side};
 use std::sync::Arc;
@@ -46,7 +47,7 @@ impl<'a> Fitter<'a> {
             let own = known.get(i).cloned().flatten().filter(|_| model.is_replayed(i));
             own.or_else(|| self.slope(model, at, i)).unwrap_or_else(nothing)
         };
-        let mut slopes: Vec<Arc<Rows>> = (0..model.len()).map(of).collect();
+        let mut slopes = on_threads(model.len(), of);
         Self::join(&same, &mut slopes);
         slopes
     }
@@ -118,20 +119,19 @@ impl<'a> Fitter<'a> {
         let nothing = Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
         let apart: Vec<_> = (0..model.len()).map(|i| replayed.contains(&i).then(|| nothing.clone())).collect();
         let mut slopes = self.slopes(model, at, &apart);
-        let mut changes: Vec<Rows> = Vec::with_capacity(p);
-        for k in 0..p {
+        let change = |k: usize| -> Option<Rows> {
             if let Some(known) = known.filter(|_| !is_told[k]) {
                 let sum = |sum: Rows, i: &usize| combined(&sum, &known[*i], 1.0, along[(*i, k)]);
-                changes.push(replayed.iter().fold(nothing.to_vec(), sum));
-                continue;
+                return Some(replayed.iter().fold(nothing.to_vec(), sum));
             }
             let beside: Vec<f64> = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
             let mut change = combined(&self.point(model, beside).ok()?.rows, &at.rows, 1.0, -1.0);
             for i in (0..model.len()).filter(|i| !replayed.contains(i) && along[(*i, k)] != 0.0) {
                 change = combined(&change, &slopes[i], 1.0, -along[(i, k)]);
             }
-            changes.push(change);
-        }
+            Some(change)
+        };
+        let changes: Vec<Rows> = on_threads(p, change).into_iter().collect::<Option<_>>()?;
         for (j, i) in replayed.iter().enumerate() {
             let sum = |sum: Rows, (k, r): (usize, &Rows)| combined(&sum, r, 1.0, back[(k, j)]);
             slopes[*i] = Arc::new(changes.iter().enumerate().fold(nothing.to_vec(), sum));

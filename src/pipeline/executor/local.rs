@@ -5,6 +5,7 @@
 //! while they wait for a lock, so nothing waits in a circle.
 
 use crate::error::{Context, Error, Result};
+use crate::numerics::threads;
 use crate::pipeline::parameters::leaves;
 use crate::pipeline::{Address, Item, ItemRecord, Lock, Parts, State, Store};
 use crate::progress::Progress;
@@ -125,8 +126,10 @@ impl Ensemble<'_> {
                 finish(job, lock)?;
             }
         };
+        let (available, count) = (threads::available(), self.permits.total.min(jobs.len()));
+        let own = || threads::sharing(available, count, work);
         std::thread::scope(|scope| {
-            let workers: Vec<_> = (0..self.permits.total.min(jobs.len())).map(|_| scope.spawn(work)).collect();
+            let workers: Vec<_> = (0..count).map(|_| scope.spawn(own)).collect();
             for worker in workers {
                 worker.join().map_err(|_| Error::new("a thread of the ensemble stopped"))??;
             }

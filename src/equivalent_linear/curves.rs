@@ -28,7 +28,7 @@ const VISCOUS: [&str; 4] = ["damping_ratio", "damping_multiplier", "damping_expo
 /// Largest damping ratio.
 pub(super) const MAX_DAMPING: f64 = 0.6;
 
-/// A parameter of a law that a search moves in small steps, and the axis it has.
+/// A parameter of a law that is moved in small steps, and the axis it has.
 struct Moved {
     law_kind: &'static str,
     key: &'static str,
@@ -230,7 +230,7 @@ pub struct Curves {
 
 impl Curves {
     /// The curve of the law of `layer` at `point`, interpolated between laws driven at nodes of shear-wave velocity, vertical
-    /// stress and strength: a search asks for thousands of neighbouring values of these.
+    /// stress and strength: columns of one site ask for many neighbouring values of these.
     pub fn of(&self, layer: &Layer, point: &Point, pore_pa: f64, vertical: Vertical) -> Curve {
         if layer.law_kind == "elastic" {
             return Curve::LINEAR;

@@ -1,4 +1,4 @@
-//! The column in the frequency domain, at moduli and damping compatible with its strains: what the search runs on.
+//! The column in the frequency domain, at moduli and damping compatible with its strains.
 
 use super::curves::{Curve, Curves};
 use super::surroundings::Surroundings;
@@ -19,7 +19,7 @@ const MAX_ELEMENTS: usize = 120;
 /// Places of a layer at which its curve is measured, at most.
 const PLACES: usize = 3;
 
-/// Lumped masses and linear-equivalent elements.
+/// Lumped masses and equivalent-linear elements.
 ///
 /// With total displacement U and base motion u_g, from the free surface down over nodes i and elements i,
 ///
@@ -37,7 +37,7 @@ const PLACES: usize = 3;
 /// Check:  the tests below against the exact layered column and against the nonlinear column in weak motion.
 /// Source: Idriss and Sun (1992), SHAKE91; Hughes (2000), The Finite Element Method, for lumped masses.
 #[derive(Debug, Clone, PartialEq)]
-pub struct FastColumn {
+pub struct EquivalentColumn {
     elements: Vec<Element>,
     mass: Vec<f64>,
     damping: Vec<f64>,
@@ -91,7 +91,7 @@ fn surroundings(features: &Features, law_kind: &str, slice: &Slice<'_>) -> Optio
     (!is_plain).then_some(found)
 }
 
-impl FastColumn {
+impl EquivalentColumn {
     /// Sets up `profile` with about `elements` elements.
     ///
     /// # Errors
@@ -157,11 +157,6 @@ impl FastColumn {
     /// Number of elements.
     pub fn n_element(&self) -> usize {
         self.elements.len()
-    }
-
-    /// Mid-depths of the elements over the depth of the column.
-    pub fn relative_depths(&self) -> impl Iterator<Item = f64> {
-        self.elements.iter().map(|e| e.depth_m / self.depth_m)
     }
 
     /// Marches the column on `grid` with effective strains `gamma`, one an element, its soil tuned.

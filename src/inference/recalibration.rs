@@ -1,0 +1,86 @@
+//! What is declared, most probable within its tolerances.
+
+use super::forward::Forward;
+use super::parameters::{Declared, Model};
+use super::posterior::{Fitter, Start, Stop};
+use super::weights::Spread;
+use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
+use crate::error::Result;
+use toml::Table;
+
+/// Most rounds, and the change of the column's level (ln) below which they end.
+const ROUNDS: usize = 4;
+const STILL: f64 = 0.1;
+/// When a fit of these rounds ends.
+const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false };
+
+/// Replays of a column with some effects more.
+struct With<'a> {
+    effects: &'a [Table],
+    replay: &'a dyn Replay,
+}
+
+impl With<'_> {
+    fn and(&self, effects: &[Table]) -> Vec<Table> {
+        self.effects.iter().chain(effects).cloned().collect()
+    }
+}
+
+impl Replay for With<'_> {
+    fn replay(&self, effects: &[Table]) -> Result<Motions> {
+        self.replay.replay(&self.and(effects))
+    }
+
+    fn replay_roughly(&self, effects: &[Table]) -> Result<Motions> {
+        self.replay.replay_roughly(&self.and(effects))
+    }
+
+    fn replay_some_roughly(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Motions> {
+        self.replay.replay_some_roughly(&self.and(effects), is_wanted)
+    }
+}
+
+/// `[[effects]]` of the declared values that are most probable beside `known` effects on top of what is declared.
+///
+/// # Errors
+/// When an event is unusable, the column cannot be built or replayed.
+pub fn recalibrate(
+    problem: &Problem,
+    replay: &dyn Replay,
+    settings: &DiagnoseSettings,
+    known: &[Table],
+) -> Result<Vec<Table>> {
+    let mut problem = problem.clone();
+    problem.declared.extend_from_slice(known);
+    let replay = With { effects: known, replay };
+    let forward = Forward::new(&problem, &replay, settings)?;
+    let declared = Declared::new(&problem)?;
+    forward.anchor(&[])?;
+    let (_, (model, x)) = recalibrated(&forward, &declared)?;
+    Ok(model.declared.tables(&x))
+}
+
+/// What is declared, most probable within its tolerances: what the records say of the field and of the column's error is read off
+/// beside it, until that stands still.
+pub(super) fn recalibrated<'a>(
+    forward: &'a Forward<'a>,
+    declared: &'a Declared,
+) -> Result<(Spread, (Model<'a>, Vec<f64>))> {
+    let model = Model { declared, effects: Vec::new() };
+    let mut x = vec![0.0; model.len()];
+    let mut prediction = std::sync::Arc::new(forward.predict(&[])?);
+    let mut spread = Spread::estimated(forward, &prediction);
+    for round in 0..ROUNDS {
+        let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
+        let start = Start::at(model.clone(), x);
+        let fit = if round == 0 { fitter.fit_from_afar(start, ROUGHLY)? } else { fitter.fit(start, ROUGHLY)? };
+        (x, prediction) = (fit.x, fit.prediction);
+        let found = Spread::estimated(forward, &prediction);
+        let is_still = (found.level / spread.level).ln().abs() < STILL;
+        spread = found;
+        if is_still {
+            break;
+        }
+    }
+    Ok((spread, (model, x)))
+}
