@@ -5,9 +5,11 @@
 //! acceleration compares directly with a downhole sensor; `γ = ∂u/∂z`; `τ` has the sign of `γ` on first loading;
 //! `t = 0` at the first sample. Inside, everything is SI (`units` holds the only conversions).
 //!
-//! Dependencies point one way: `error units numerics registry progress → motion soil → column → dataset records metrics →
-//! flare effects diagnosis equivalent_linear inference → manifest → twin → report stages → cli`. `pipeline` knows nothing of soil and meets stages through its `Stage` trait.
+//! A room uses those before it in this line and no others: `error units numerics registry progress atomic metrics pipeline motion soil column
+//! equivalent_linear records dataset flare effects diagnosis inference manifest twin report stages cli`. `pipeline` knows nothing of soil
+//! and meets stages through its `Stage` trait.
 
+pub mod atomic;
 pub mod cli;
 pub mod column;
 pub mod dataset;

@@ -1,6 +1,6 @@
 //! The JSON index of a dataset: which trajectory is in which file and split, and which runs failed and why.
 
-use super::atomic;
+use crate::atomic;
 use crate::error::{Context, Error, Result};
 use crate::records::Split;
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,5 @@
 //! Trajectories on disk (MCAP), their index and splits, decimation and normalisation.
 
-pub mod atomic;
 mod coarse;
 mod index;
 mod message;

@@ -1,7 +1,7 @@
 //! Streaming writer of one trajectory: an MCAP file with one message an output step on each of three topics.
 
-use super::atomic::Partial;
 use super::message::{self, Base, Reading, Response, Sensors};
+use crate::atomic::Partial;
 use crate::error::{Context, Error, Result};
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{Compression, WriteOptions, Writer};

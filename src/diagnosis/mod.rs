@@ -1,5 +1,5 @@
 //! What a diagnosis is about, what it says, and what that was worth: the declared array with its events and their noise ([`Problem`]), the
-//! answer ([`Diagnosis`]), errors before and after ([`Summary`]). How the answer is found is [`crate::inference`].
+//! answer ([`Diagnosis`]), errors before and after ([`Summary`]). The room `inference` finds the answer.
 
 mod comparison;
 mod floor;
@@ -9,6 +9,7 @@ mod outcome;
 mod problem;
 mod settings;
 pub(crate) mod spectra;
+mod tolerances;
 
 pub use comparison::{Change, ErrorRow, Six, Summary};
 pub use floor::noise_deviation_m_s2;
@@ -17,3 +18,4 @@ pub use noise::{denoised, noise};
 pub use outcome::{Candidate, Diagnosis, Estimate, Found, Rest, RestVerdict, ToleranceAlarm, Verdict};
 pub use problem::{Event, Motions, NoiseSpectrum, Problem, Replay};
 pub use settings::DiagnoseSettings;
+pub use tolerances::Tolerances;

@@ -1,8 +1,8 @@
 //! What a diagnosis is about: the declared array, its tolerances, and the events it may look at.
 
+use super::Tolerances;
 use crate::effects::{Array, Situation};
 use crate::error::Result;
-use crate::manifest::Tolerances;
 use crate::records::Split;
 
 /// The array, what is declared of it, and the events to explain; never a held-out event.

@@ -1,10 +1,9 @@
 //! A made-up array for tests: a uniform elastic column that an analytic solution replays.
 
 use crate::column::{Layer, Profile};
-use crate::diagnosis::{Event, Motions, NoiseSpectrum, Problem, Replay};
+use crate::diagnosis::{Event, Motions, NoiseSpectrum, Problem, Replay, Tolerances};
 use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
 use crate::error::Result;
-use crate::manifest::Tolerances;
 use crate::numerics::{random, spectrum};
 use crate::records::Split;
 use rand_distr::{Distribution, StandardNormal};

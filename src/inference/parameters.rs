@@ -15,10 +15,9 @@
 use super::convention::Slope;
 use super::depth_modes::{modes, ranges};
 use crate::column::{Analysis, Column, Profile, Rayleigh};
-use crate::diagnosis::Problem;
+use crate::diagnosis::{Problem, Tolerances};
 use crate::effects::{self, Array, Free, Instance, LAYER_VELOCITY_LN};
 use crate::error::{Error, Result};
-use crate::manifest::Tolerances;
 use faer::Mat;
 use std::f64::consts::TAU;
 use std::ops::Range;

@@ -11,9 +11,7 @@ mod sections;
 
 pub use document::{Document, Problem};
 pub use schema::schema;
-pub use sections::{
-    ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, StudySection, Tolerances,
-};
+pub use sections::{ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, StudySection};
 
 use crate::error::{Context, Error, Result};
 use std::path::{Path, PathBuf};

@@ -4,7 +4,7 @@
 
 use super::record::{Record, Sensor};
 use super::{Format, Request};
-use crate::dataset::atomic;
+use crate::atomic;
 use crate::error::{Context, Error, Result};
 use crate::registry::{self, Entry, params};
 use crate::units::AccelerationUnit;

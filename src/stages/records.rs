@@ -2,9 +2,10 @@
 
 use super::artifact::write_json;
 use super::instrument::{Instrument, by_event};
+use crate::diagnosis::Tolerances;
 use crate::effects;
 use crate::error::{Error, Result};
-use crate::manifest::{ColumnSections, SensorsSection, Tolerances};
+use crate::manifest::{ColumnSections, SensorsSection};
 use crate::pipeline::{Stage, Task};
 use crate::records::{self, FORMATS, Record, RecordSettings, Request};
 use crate::registry;

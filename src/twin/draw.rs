@@ -1,7 +1,7 @@
 //! What a twin site and its sensors really are: the declared values moved within their tolerances, as effects.
 
+use crate::diagnosis::Tolerances;
 use crate::effects::Array;
-use crate::manifest::Tolerances;
 use crate::numerics::random;
 use rand_distr::{Distribution, StandardNormal};
 use toml::{Table, Value};
