@@ -56,7 +56,7 @@ pub struct Bench<'a> {
 }
 
 impl<'a> Bench<'a> {
-    /// The problem of a stage that reads [`READS`] and has an input `records`.
+    /// The problem of a stage that reads `READS` and has an input `records`.
     ///
     /// # Errors
     /// When a section is missing or a record cannot be read.
