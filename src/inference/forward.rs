@@ -38,6 +38,9 @@ pub struct Predicted {
 /// A prediction of every record, group by group.
 pub type Prediction = Vec<Predicted>;
 
+/// Motions at the output sensors by record.
+type Replayed = Arc<Vec<Bins>>;
+
 /// Where a record stands.
 #[derive(Debug, Clone, Copy)]
 pub struct At {
@@ -67,7 +70,8 @@ pub struct Forward<'a> {
     pub(super) share: f64,
     replay: &'a dyn Replay,
     names: Vec<String>,
-    known: Mutex<HashMap<String, Arc<Vec<Bins>>>>,
+    /// Motions by what shakes the column; whoever asks for what is being replayed waits for it.
+    known: Mutex<HashMap<String, Arc<Mutex<Option<Replayed>>>>>,
     anchor: Mutex<Option<Anchor>>,
     replays: Mutex<usize>,
 }
@@ -149,15 +153,17 @@ impl<'a> Forward<'a> {
     }
 
     /// Motions at the output sensors of the rough replay under the effects that move the column, as spectra.
-    fn motions(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
+    fn motions(&self, tables: &[Table]) -> Result<Replayed> {
         let shaken = self.shaken(tables);
         let key = key(&shaken);
-        if let Some(known) = lock(&self.known).get(&key) {
+        let entry = lock(&self.known).entry(key).or_default().clone();
+        let mut known = lock(&entry);
+        if let Some(known) = &*known {
             return Ok(known.clone());
         }
         *lock(&self.replays) += 1;
         let found = Arc::new(self.spectra_of(self.rough(&shaken)?)?);
-        lock(&self.known).insert(key, found.clone());
+        *known = Some(found.clone());
         Ok(found)
     }
 
@@ -219,7 +225,7 @@ impl<'a> Forward<'a> {
     ///
     /// # Errors
     /// As [`Forward::predict`].
-    pub fn corrected(&self, tables: &[Table]) -> Result<Arc<Vec<Bins>>> {
+    pub fn corrected(&self, tables: &[Table]) -> Result<Replayed> {
         let rough = self.motions(tables)?;
         let Some(difference) = self.numerical_error() else { return Ok(rough) };
         let mut motions = rough.to_vec();
