@@ -28,8 +28,8 @@ const FINALS: usize = 3;
 const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
-/// ln of the odds against the best within which models count for the answer, and within which they are kept when what is expected of
-/// residuals has changed.
+/// ln of the odds against the best within which models count for the answer, and within which they are fitted to all events and kept when
+/// what is expected of residuals has changed.
 const COUNTS: f64 = 5.0;
 const FAR: f64 = 30.0;
 /// Most rounds of the competition.
@@ -278,7 +278,10 @@ impl<'a> Competition<'a> {
         let (instead, more): (Vec<_>, Vec<_>) =
             heats.iter().partition(|heat| heat.model.effects.len() == start.model.effects.len());
         let rivals = instead.into_iter().filter(|heat| self.log_posterior(heat) > least);
-        for heat in more {
+        // What is far behind in a few events is not worth all of them; a response without a name is compared with nothing here.
+        let highest = more.iter().filter(|heat| heat.model.is_named()).map(|heat| self.log_posterior(heat));
+        let worth = highest.fold(f64::NEG_INFINITY, f64::max) - FAR;
+        for heat in more.into_iter().filter(|heat| self.log_posterior(heat) > worth) {
             if finals.len() < FINALS && is_new(&finals, heat) {
                 finals.push(heat.clone());
             }
