@@ -111,6 +111,29 @@ pub struct Rest {
     pub level: f64,
 }
 
+impl Rest {
+    /// The same in a sentence.
+    pub fn sentence(&self) -> String {
+        let percent = |share: f64| format!("{:.2} %", 100.0 * share);
+        match self.verdict {
+            RestVerdict::Noise => {
+                "What remains is no more than noise of the sensors and the declared error of the column.".into()
+            }
+            RestVerdict::Incoherent => format!(
+                "What remains, {} of the power of the records, does not follow the base in the same way in all events: no correction of the \
+                 site removes it.",
+                percent(self.share)
+            ),
+            RestVerdict::Unnamed => format!(
+                "What remains has a part that is the same in all events and has no name: {} of the power of the records, {:.1} times the \
+                 error that the column is declared to have (`tolerances.model`).",
+                percent(self.repeatable_share),
+                self.level
+            ),
+        }
+    }
+}
+
 /// `diagnosis.json`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Diagnosis {

@@ -1,6 +1,6 @@
 //! Strains of an equivalent-linear column that its moduli and damping are those of.
 
-use super::column::{EquivalentColumn, Grid, March};
+use super::column::{EquivalentColumn, Grid};
 use super::tuning::{Tuning, least};
 use realfft::num_complex::Complex;
 use std::f64::consts::{SQRT_2, TAU};
@@ -65,20 +65,15 @@ impl Compatible {
         Self { column, grid, strain }
     }
 
-    /// Motions over that of the base at `depths_m`, tuned.
-    pub fn march(&self, depths_m: &[f64], tuning: &Tuning) -> March {
-        self.column.march(self.grid, &self.strain, depths_m, tuning)
-    }
-
     /// The same column and strains with a modulus that does not grow with frequency; see [`EquivalentColumn::without_dispersion`].
     #[must_use]
     pub fn without_dispersion(self) -> Self {
         Self { column: self.column.without_dispersion(), ..self }
     }
 
-    /// Motions at `depths_m` under `base`, `[depth][bin]`, m/s².
+    /// Motions at `depths_m` under `base`, tuned, `[depth][bin]`, m/s².
     pub fn motions(&self, base: &Base<'_>, depths_m: &[f64], tuning: &Tuning) -> Vec<Vec<C64>> {
-        let march = self.march(depths_m, tuning);
+        let march = self.column.march(self.grid, &self.strain, depths_m, tuning);
         let mut all = vec![Vec::with_capacity(base.frequencies_hz.len()); depths_m.len()];
         let mut at = vec![C64::default(); depths_m.len()];
         for (f, input) in base.frequencies_hz.iter().zip(base.acceleration_m_s2) {

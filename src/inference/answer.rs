@@ -112,7 +112,7 @@ impl<'a> Answer<'_, 'a> {
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
             tolerance_alarms: strained(answer),
-            notes: [sentence(&rest)].into_iter().chain(besides).collect(),
+            notes: [rest.sentence()].into_iter().chain(besides).collect(),
             rest: Some(rest),
         }
     }
@@ -307,27 +307,6 @@ fn strained(fit: &Fit<'_>) -> Vec<ToleranceAlarm> {
         })
     };
     declared.others.iter().enumerate().filter_map(of).collect()
-}
-
-/// What remains, in a sentence.
-fn sentence(rest: &Rest) -> String {
-    let percent = |share: f64| format!("{:.2} %", 100.0 * share);
-    match rest.verdict {
-        RestVerdict::Noise => {
-            "What remains is no more than noise of the sensors and the declared error of the column.".into()
-        }
-        RestVerdict::Incoherent => format!(
-            "What remains, {} of the power of the records, does not follow the base in the same way in all events: no correction of the \
-             site removes it.",
-            percent(rest.share)
-        ),
-        RestVerdict::Unnamed => format!(
-            "What remains has a part that is the same in all events and has no name: {} of the power of the records, {:.1} times the \
-             error that the column is declared to have (`tolerances.model`).",
-            percent(rest.repeatable_share),
-            rest.level
-        ),
-    }
 }
 
 #[cfg(test)]

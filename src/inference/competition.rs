@@ -42,7 +42,7 @@ const TOLD: f64 = 0.5;
 /// Prior standard deviations that a tolerance may move for slopes to be carried along.
 const NEAR: f64 = 1.0;
 /// Prior probability of one effect more.
-pub(super) const ONE_MORE: f64 = 0.25;
+const ONE_MORE: f64 = 0.25;
 /// Change of the column's level (ln) and of a coherence from which models are compared anew.
 const CHANGED: [f64; 2] = [0.05, 0.02];
 /// The same from which candidates are looked for anew.
@@ -89,7 +89,7 @@ impl<'a> Competition<'a> {
 
     /// ln of the prior of an effect.
     fn prior_of(&self, instance: &Instance) -> f64 {
-        self.ln_prior.get(instance.kind).copied().unwrap_or(-10.0) + ONE_MORE.ln()
+        self.ln_prior.get(instance.kind).copied().unwrap_or(f64::NEG_INFINITY)
     }
 
     /// What a model predicts by its named effects alone.
@@ -488,7 +488,10 @@ pub(super) fn ln_prior<'i>(
     let values = forward.records.iter().map(|at| 2.0 * forward.frequencies_hz(*at).len() as f64);
     let by_number: f64 = values.map(|n| 0.5 * n.ln()).sum();
     let kinds = places.len() as f64;
-    places.into_iter().map(|(kind, (n, hidden))| (kind, -(kinds * n).ln() - hidden * by_number)).collect()
+    places
+        .into_iter()
+        .map(|(kind, (n, hidden))| (kind, -(kinds * n).ln() - hidden * by_number + ONE_MORE.ln()))
+        .collect()
 }
 
 /// Whether two sets hold the same effects in any order.

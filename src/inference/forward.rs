@@ -177,24 +177,17 @@ impl<'a> Forward<'a> {
         self.replay.replay_some_roughly(shaken, &is_wanted)
     }
 
-    /// The fine replay under `tables`.
-    ///
-    /// # Errors
-    /// When the column cannot be replayed.
-    pub fn fine(&self, tables: &[Table]) -> Result<Motions> {
-        self.replay.replay(&self.shaken(tables))
-    }
-
     /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there.
     ///
     /// # Errors
     /// When the column cannot be replayed.
     pub fn anchor(&self, tables: &[Table]) -> Result<()> {
-        let key = key(&self.shaken(tables));
+        let shaken = self.shaken(tables);
+        let key = key(&shaken);
         if lock(&self.anchor).as_ref().is_some_and(|anchor| anchor.key == key) {
             return Ok(());
         }
-        let mut difference = self.spectra_of(self.fine(tables)?)?;
+        let mut difference = self.spectra_of(self.replay.replay(&shaken)?)?;
         add(&mut difference, &self.motions(tables)?, -1.0);
         *lock(&self.anchor) = Some(Anchor { key, difference: Arc::new(difference) });
         Ok(())

@@ -7,6 +7,7 @@ use super::convention;
 use super::forward::{Forward, Prediction, channels, lock};
 use super::parameters::Model;
 use super::weights::{self, Rows, Spread, Weights, band_hz};
+use crate::effects::Instance;
 use crate::error::Result;
 use crate::metrics::{normal_probability, scaled_tail};
 use faer::Mat;
@@ -151,6 +152,25 @@ impl<'a> Fitter<'a> {
         let mut prediction = self.forward.predict(&model.tables(x))?;
         convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
         Ok(Arc::new(prediction))
+    }
+
+    /// What the model of `base` predicts with an effect besides, whose coordinates are `at`.
+    ///
+    /// # Errors
+    /// When the column cannot be replayed.
+    pub fn predict_with(&self, base: &Fit<'a>, effect: &Instance, at: &[f64]) -> Result<Arc<Prediction>> {
+        let mut model = base.model.clone();
+        model.effects.push(effect.clone());
+        let x: Vec<f64> = base.x.iter().chain(at).copied().collect();
+        self.predict(&model, &x)
+    }
+
+    /// How that changes the residuals of `base`.
+    ///
+    /// # Errors
+    /// When the column cannot be replayed.
+    pub fn change_with(&self, base: &Fit<'a>, effect: &Instance, at: &[f64]) -> Result<Rows> {
+        Ok(combined(&self.rows(&*self.predict_with(base, effect, at)?).0, &base.rows, 1.0, -1.0))
     }
 
     fn point(&self, model: &Model<'a>, x: Vec<f64>) -> Result<Point> {
@@ -343,9 +363,14 @@ pub fn combined(one: &Rows, other: &Rows, a: f64, b: f64) -> Rows {
     one.iter().zip(other).map(of).collect()
 }
 
+/// Σ r s over all residuals.
+pub fn dot(one: &Rows, other: &Rows) -> f64 {
+    one.iter().flatten().zip(other.iter().flatten()).map(|(r, s)| r * s).sum()
+}
+
 /// Σ r² over all residuals.
 pub fn square(rows: &Rows) -> f64 {
-    rows.iter().flatten().map(|r| r * r).sum()
+    dot(rows, rows)
 }
 
 /// Normal equations of residuals `rows` with these `slopes`: Jᵀ J, and −Jᵀ r in the last row and column.
@@ -363,7 +388,7 @@ fn normal(slopes: &[Arc<Rows>], rows: &Rows) -> Mat<f64> {
 }
 
 /// Information of the records and the prior.
-pub fn information(model: &Model<'_>, g: &Mat<f64>) -> Mat<f64> {
+fn information(model: &Model<'_>, g: &Mat<f64>) -> Mat<f64> {
     let prior = model.prior();
     let n = prior.len();
     Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { 1.0 / prior[i][1].powi(2) } else { 0.0 })

@@ -1,16 +1,17 @@
 //! Before any data: which effects this array, its events and its noise could reveal, and which look alike in it.
 
-use super::algebra::solved;
 use super::answer::NOTHING;
-use super::competition::{ONE_MORE, acting, ln_prior};
+use super::competition::{acting, ln_prior};
 use super::few;
 use super::forward::Forward;
 use super::parameters::{Declared, Model, prior_of};
-use super::posterior::{Fit, Fitter, Start, Stop, combined, information, square};
+use super::posterior::{Fit, Fitter, Start, Stop, dot, square};
 use super::weights::{Rows, Spread};
 use crate::diagnosis::{DiagnoseSettings, Problem, Replay};
 use crate::effects::Instance;
 use crate::error::{Error, Result};
+use crate::numerics::threads::on_threads;
+use faer::Mat;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -98,12 +99,13 @@ pub fn power(problem: &Problem, replay: &dyn Replay, settings: &DiagnoseSettings
     let base = fitter.fit(Start::at(model, x), Stop::WHERE_IT_IS)?;
     let instances = acting(&quiet.array);
     let ln_prior = ln_prior(&forward, instances.iter());
-    let seen = Seen { fitter: &fitter, base: &base };
-    let of = |instance: &Instance| {
-        let prior = ln_prior.get(instance.kind).copied().unwrap_or_default() + ONE_MORE.ln();
-        seen.sensitivity(instance, (1.0 / NOTHING - 1.0).ln() - prior)
+    let covariance = base.covariance().ok_or_else(|| Error::new("the declared values have no posterior"))?;
+    let seen = Seen { fitter: &fitter, base: &base, covariance };
+    let of = |i: usize| {
+        let prior = ln_prior.get(instances[i].kind)?;
+        seen.sensitivity(&instances[i], (1.0 / NOTHING - 1.0).ln() - prior)
     };
-    let mut marks: Vec<(Sensitivity, Mark)> = instances.iter().filter_map(of).collect();
+    let mut marks: Vec<(Sensitivity, Mark)> = on_threads(instances.len(), of).into_iter().flatten().collect();
     marks.sort_by(|a, b| b.0.expected_score.total_cmp(&a.0.expected_score));
     let confusions = confusions(&marks);
     let classes = classes(&confusions);
@@ -121,9 +123,8 @@ struct Mark {
 impl Mark {
     /// (1) between two marks.
     fn product(&self, other: &Self) -> f64 {
-        let apart: f64 =
-            self.change.iter().zip(&other.change).flat_map(|(a, b)| a.iter().zip(b)).map(|(a, b)| a * b).sum();
-        apart - self.by_declared.iter().zip(&other.follows).map(|(a, b)| a * b).sum::<f64>()
+        let followed: f64 = self.by_declared.iter().zip(&other.follows).map(|(a, b)| a * b).sum();
+        dot(&self.change, &other.change) - followed
     }
 
     fn score(&self) -> f64 {
@@ -135,20 +136,16 @@ impl Mark {
 struct Seen<'s, 'a> {
     fitter: &'s Fitter<'a>,
     base: &'s Fit<'a>,
+    /// Of the declared values.
+    covariance: Mat<f64>,
 }
 
 impl Seen<'_, '_> {
     fn mark(&self, instance: &Instance, at: &[f64]) -> Option<Mark> {
-        let mut model = self.base.model.clone();
-        model.effects.push(instance.clone());
-        let x: Vec<f64> = self.base.x.iter().chain(at).copied().collect();
-        let there = self.fitter.rows(&*self.fitter.predict(&model, &x).ok()?).0;
-        let change = combined(&there, &self.base.rows, 1.0, -1.0);
-        let dot = |slope: &Arc<Rows>| -> f64 {
-            slope.iter().zip(&change).flat_map(|(a, b)| a.iter().zip(b)).map(|(a, b)| a * b).sum()
-        };
-        let by_declared: Vec<f64> = self.base.slopes.iter().map(dot).collect();
-        let follows = solved(&information(&self.base.model, &self.base.g), &by_declared)?;
+        let change = self.fitter.change_with(self.base, instance, at).ok()?;
+        let by_declared: Vec<f64> = self.base.slopes.iter().map(|slope| dot(slope, &change)).collect();
+        let n = by_declared.len();
+        let follows = (0..n).map(|i| (0..n).map(|j| self.covariance[(i, j)] * by_declared[j]).sum()).collect();
         square(&change).is_finite().then_some(Mark { change, by_declared, follows })
     }
 

@@ -195,8 +195,8 @@ pub struct TransferRow {
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Rest {
-    /// `noise`, `incoherent` or `unnamed`.
-    pub verdict: String,
+    /// In a sentence.
+    pub sentence: String,
     /// Its power over that of the records, noise of sensors taken off.
     pub share: f64,
     /// The part of it that is the same in all events.

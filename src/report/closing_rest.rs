@@ -54,13 +54,8 @@ fn tolerance(alarms: &[(String, f64, Interval)]) -> Markup {
 }
 
 fn remains(rest: &Rest) -> Markup {
-    let what = match rest.verdict.as_str() {
-        "noise" => "no more than noise of sensors and the declared error of a column",
-        "incoherent" => "motion that does not follow the base in the same way in all events",
-        _ => "something that is the same in all events and has no name",
-    };
     html! {
-        p { "What remains is " b { (what) } ": " (number::fixed(100.0 * rest.share, 1)) " % of the recorded power, "
+        p { (rest.sentence) " It is " (number::fixed(100.0 * rest.share, 1)) " % of the recorded power, "
             (number::fixed(100.0 * rest.repeatable_share, 1)) " % the same in all events." }
         @if !rest.coherence.is_empty() { (coherence(&rest.coherence)) }
     }

@@ -1,7 +1,7 @@
 //! From a diagnosis and a comparison to the report's section on closing the loop.
 
 use super::{compare, diagnose};
-use crate::diagnosis::{Diagnosis, Estimate, RestVerdict, Six, Summary, Verdict};
+use crate::diagnosis::{Diagnosis, Estimate, Six, Summary, Verdict};
 use crate::effects::{self, Class};
 use crate::error::Result;
 use crate::metrics::{BiasSigma, LnRatio, SensorTransfer};
@@ -198,13 +198,8 @@ fn candidates(diagnosis: &Diagnosis) -> Vec<Candidate> {
 }
 
 fn rest(rest: &crate::diagnosis::Rest) -> Rest {
-    let verdict = match rest.verdict {
-        RestVerdict::Noise => "noise",
-        RestVerdict::Incoherent => "incoherent",
-        RestVerdict::Unnamed => "unnamed",
-    };
     Rest {
-        verdict: verdict.into(),
+        sentence: rest.sentence(),
         share: rest.share,
         repeatable_share: rest.repeatable_share,
         coherence: rest.coherence.iter().map(|(sensor, c)| (sensor.clone(), c.clone())).collect(),

@@ -285,7 +285,7 @@ fn closing() -> Closing {
         }],
         out_of_tolerance: vec![("shear-wave velocity at 0–6 m".into(), -3.8, interval(-0.13, 0.03, ""))],
         rest: Some(Rest {
-            verdict: "incoherent".into(),
+            sentence: "What remains does not follow the base in the same way in all events.".into(),
             share: 0.21,
             repeatable_share: 0.03,
             coherence: SENSORS

@@ -4,7 +4,6 @@
 use super::{Competition, HEATS, Look, TOLD};
 use crate::effects::{self, Instance};
 use crate::inference::algebra::{self, Quadratic};
-use crate::inference::forward::Prediction;
 use crate::inference::parameters::{Model, prior_of};
 use crate::inference::posterior::{Fit, Fitter, Start, combined, gradient, square};
 use crate::inference::weights::{Rows, line_hz};
@@ -185,18 +184,9 @@ impl<'a> Competition<'a> {
         proposals
     }
 
-    /// What the model of `base` predicts with a node besides.
-    fn predicted(by: &Fitter<'a>, base: &Fit<'a>, node: &Node) -> Option<Arc<Prediction>> {
-        let mut model = base.model.clone();
-        model.effects.push(node.instance.clone());
-        let x: Vec<f64> = base.x.iter().chain(&node.at).copied().collect();
-        by.predict(&model, &x).ok()
-    }
-
     /// How the residuals of `base` change towards a node.
     fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
-        let there = Self::predicted(by, base, &node)?;
-        let change = combined(&by.rows(&there).0, &base.rows, 1.0, -1.0);
+        let change = by.change_with(base, &node.instance, &node.at).ok()?;
         Some(Direction { node, change: Arc::new(change) })
     }
 
@@ -224,7 +214,8 @@ impl<'a> Competition<'a> {
             let mut there = node.clone();
             there.at[index] =
                 parameter.coordinate(line_hz + width_hz * f64::from(step) / f64::from(LINE_STEPS)).clamp(low, high);
-            let cost = Self::predicted(by, base, &there).map_or(f64::INFINITY, |p| by.nll(&p));
+            let predicted = by.predict_with(base, &there.instance, &there.at);
+            let cost = predicted.map_or(f64::INFINITY, |p| by.nll(&p));
             if cost < lowest {
                 (lowest, node) = (cost, there);
             }
@@ -234,7 +225,7 @@ impl<'a> Competition<'a> {
 
     /// A candidate that is either there or not, or that takes numbers from the records.
     fn discrete(&self, by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Proposal> {
-        let there = Self::predicted(by, base, &node)?;
+        let there = by.predict_with(base, &node.instance, &node.at).ok()?;
         let cost = by.nll(&there) + Fitter::prior(&base.model, &base.x);
         let log_posterior = self.log_posterior(base) + base.cost - cost + self.prior_of(&node.instance);
         let part = Part { instance: node.instance, start: node.at, along: None };
