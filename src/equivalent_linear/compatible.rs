@@ -42,13 +42,26 @@ impl Compatible {
     ///
     /// Source: Idriss and Sun (1992), SHAKE91.
     pub fn new(column: EquivalentColumn, base: &Base<'_>) -> Self {
+        let strain = vec![START_STRAIN; column.n_element()];
+        Self::from(column, base, strain)
+    }
+
+    /// [`Compatible::new`] with the strains of a column `near` by to start from, if that has as many elements.
+    pub fn beside(column: EquivalentColumn, base: &Base<'_>, near: &Self) -> Self {
+        if near.strain.len() == column.n_element() {
+            Self::from(column, base, near.strain.clone())
+        } else {
+            Self::new(column, base)
+        }
+    }
+
+    fn from(column: EquivalentColumn, base: &Base<'_>, mut strain: Vec<f64>) -> Self {
         let f = base.frequencies_hz;
         let ends_hz = [f.first(), f.last()].map(|f| f.copied().unwrap_or(1.0));
         let grid = Grid::around(ends_hz[0], ends_hz[1], column.grid_step_hz());
         let displacement: Vec<C64> =
             f.iter().zip(base.acceleration_m_s2).map(|(f, a)| a / -(TAU * f).powi(2)).collect();
         let to_effective = EFFECTIVE * base.peak_factor * SQRT_2 / base.samples as f64;
-        let mut strain = vec![START_STRAIN; column.n_element()];
         let (iterations, share, still) = ITERATIONS;
         for _ in 0..iterations {
             let norm = column.march(grid, &strain, &[], &Tuning::default()).strain_norm(f, &displacement);

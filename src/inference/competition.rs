@@ -25,7 +25,7 @@ use std::sync::Arc;
 const HEATS: usize = 4;
 const FINALS: usize = 3;
 /// Steps of the first fits.
-const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false };
+const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false, may_replay: false };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
 /// ln of the odds against the best within which models count for the answer, and within which they are fitted to all events and kept when
@@ -361,7 +361,14 @@ impl<'a> Competition<'a> {
 
     /// Fits from `start` and keeps that; what it is compared with in the end is fitted to the end then.
     fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) {
-        let Ok(found) = self.fitter.fit(start, Stop::CLOSE) else { return };
+        let Ok(mut found) = self.fitter.fit(start, Stop::CLOSE) else { return };
+        // Slopes that were carried may see nothing to be gained before there is nothing.
+        if self.log_posterior(&found) > self.log_posterior(self.best()) - FAR {
+            match self.fitter.fit(Start::from(found), Stop::EXACT) {
+                Ok(exact) => found = exact,
+                Err(_) => return,
+            }
+        }
         progress.note(&self.described(&found));
         self.keep(found);
     }

@@ -1,10 +1,8 @@
 //! What other programs make of the same declared column: what these change is no property of a site.
 
-use super::forward::{Bins, Forward, Predicted, Prediction, built};
-use crate::effects;
-use crate::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, element_count};
+use super::equivalent::State;
+use super::forward::{Bins, Forward, Prediction};
 use crate::error::Result;
-use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::sync::Arc;
 use toml::Table;
@@ -24,38 +22,9 @@ pub type Slope = Arc<Vec<Bins>>;
 /// # Errors
 /// When the column cannot be built or replayed.
 pub fn conventions(forward: &Forward<'_>, tables: &[Table]) -> Result<Vec<Slope>> {
-    let effects = built(forward.problem, tables)?;
-    let array = &forward.problem.array;
-    let high_hz =
-        forward.records.iter().filter_map(|at| forward.frequencies_hz(*at).last()).fold(1.0f64, |m, f| m.max(*f));
-    let elements = element_count(&array.profile, high_hz);
-    let curves = Curves::default();
-    let depths_m: Vec<f64> = array
-        .outputs
-        .iter()
-        .zip(&array.depths_m)
-        .map(|(name, depth_m)| effects::depth_m(&effects, name, *depth_m, array.profile.depth_m()))
-        .collect();
-    let of = |(i, (predicted, replayed)): (usize, (&Predicted, &Bins))| -> Result<[Bins; 2]> {
-        let at = forward.records[i];
-        let record = &forward.groups[at.group].records[at.record];
-        let mut profile = array.profile.clone();
-        effects.iter().for_each(|e| e.edit(&mut profile, &forward.problem.events[record.event].situation));
-        let base = Base {
-            frequencies_hz: forward.frequencies_hz(at),
-            acceleration_m_s2: &predicted.base,
-            samples: record.window.len(),
-            peak_factor: record.peak_factor,
-        };
-        let column = Compatible::new(EquivalentColumn::new(&profile, elements, &curves)?, &base);
-        let tuning = column.tuned(&base, &depths_m, replayed);
-        let ours = column.motions(&base, &depths_m, &tuning);
-        Ok([ours, column.without_dispersion().motions(&base, &depths_m, &tuning)])
-    };
-    let (prediction, replayed) = (forward.predict(tables)?, forward.corrected(tables)?);
-    let records: Vec<_> = prediction.iter().zip(replayed.iter()).enumerate().collect();
-    let both: Vec<[Bins; 2]> = records.into_par_iter().map(of).collect::<Result<_>>()?;
-    let (ours, theirs): (Vec<Bins>, Vec<Bins>) = both.into_iter().map(|[ours, theirs]| (ours, theirs)).unzip();
+    let state = State::tuned(forward, tables, &forward.corrected(tables)?)?;
+    let ours = state.motions(forward);
+    let theirs = state.without_dispersion().motions(forward);
     Ok(change(&ours, &theirs).into_iter().collect())
 }
 

@@ -7,6 +7,7 @@
 //!
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
+use super::equivalent::Equivalent;
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
 use crate::effects::{self, Channel, Effect, Operator, Place};
@@ -69,6 +70,7 @@ pub struct Forward<'a> {
     pub(super) kept: Vec<usize>,
     pub(super) share: f64,
     replay: &'a dyn Replay,
+    pub(super) equivalent: Arc<Equivalent>,
     names: Vec<String>,
     /// Motions by what shakes the column; whoever asks for what is being replayed waits for it.
     known: Mutex<HashMap<String, Arc<Mutex<Option<Replayed>>>>>,
@@ -82,10 +84,17 @@ impl<'a> Forward<'a> {
     /// # Errors
     /// When an event is unusable.
     pub fn new(problem: &'a Problem, replay: &'a dyn Replay, settings: &DiagnoseSettings) -> Result<Self> {
-        Ok(Self::of(problem, replay, spectra::groups(problem, settings)?))
+        let groups = spectra::groups(problem, settings)?;
+        let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
+        Ok(Self::of(problem, replay, Arc::new(Equivalent::new(problem, high_hz)), groups))
     }
 
-    fn of(problem: &'a Problem, replay: &'a dyn Replay, groups: Vec<Group>) -> Self {
+    fn of(
+        problem: &'a Problem,
+        replay: &'a dyn Replay,
+        equivalent: Arc<Equivalent>,
+        groups: Vec<Group>,
+    ) -> Self {
         let of_group = |(group, g): (usize, &Group)| (0..g.records.len()).map(move |record| At { group, record });
         let records: Vec<At> = groups.iter().enumerate().flat_map(of_group).collect();
         Self {
@@ -95,6 +104,7 @@ impl<'a> Forward<'a> {
             records,
             groups,
             replay,
+            equivalent,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
             anchor: Mutex::default(),
@@ -104,7 +114,7 @@ impl<'a> Forward<'a> {
 
     /// The same column and sensors with these groups, nothing replayed yet.
     pub(super) fn without_replays(&self, groups: Vec<Group>) -> Self {
-        Self::of(self.problem, self.replay, groups)
+        Self::of(self.problem, self.replay, self.equivalent.clone(), groups)
     }
 
     /// Replays run so far.
@@ -226,10 +236,13 @@ impl<'a> Forward<'a> {
         Ok(Arc::new(motions))
     }
 
-    /// What every sensor records of `motions`.
-    fn recorded(&self, tables: &[Table], motions: &[Bins]) -> Result<Prediction> {
+    /// What every sensor records of `motions`, `[record][sensor][bin]`.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    pub fn recorded(&self, tables: &[Table], motions: &[Bins]) -> Result<Prediction> {
         let built = built(self.problem, tables)?;
-        let sources: Vec<usize> = (0..self.names.len()).map(|s| self.source(&built, s)).collect();
+        let sources = self.sources(&built);
         let mut prediction = Vec::with_capacity(self.records.len());
         let mut first = 0;
         for g in 0..self.groups.len() {
@@ -240,26 +253,46 @@ impl<'a> Forward<'a> {
         Ok(prediction)
     }
 
-    fn of_group(&self, g: usize, built: &[Box<dyn Effect>], sources: &[usize], motions: &[Bins]) -> Vec<Predicted> {
-        let group = &self.groups[g];
-        let n_record = group.records.len();
-        let components: Vec<usize> = group.records.iter().map(|r| self.problem.events[r.event].component()).collect();
+    /// What records of group `g` become by `operators` in the component of record `to`, `inputs` those of each record.
+    fn through(&self, g: usize, operators: Option<&Vec<Operator>>, to: usize, inputs: &[&[C64]]) -> Vec<C64> {
+        let records = &self.groups[g].records;
+        let component = |r: usize| self.problem.events[records[r].event].component();
         // What a single component loses to the other cannot be told from a gain.
-        let entry = |o: &Operator, to: usize, from: usize| match (n_record, components[to], components[from]) {
+        let entry = |o: &Operator, from: usize| match (records.len(), component(to), component(from)) {
             (1, ..) => o.0[0][0],
             (_, to @ (0 | 1), from @ (0 | 1)) => o.0[to][from],
             (_, a, b) => C64::from(f64::from(u8::from(a == b))),
         };
-        let through = |operators: &Option<Vec<Operator>>, to: usize, inputs: &[&[C64]]| -> Vec<C64> {
-            let Some(operators) = operators else { return inputs[to].to_vec() };
-            let at = |(k, o): (usize, &Operator)| (0..n_record).map(|q| entry(o, to, q) * inputs[q][k]).sum();
-            operators.iter().enumerate().map(at).collect()
-        };
+        let Some(operators) = operators else { return inputs[to].to_vec() };
+        let at = |(k, o): (usize, &Operator)| (0..records.len()).map(|q| entry(o, q) * inputs[q][k]).sum();
+        operators.iter().enumerate().map(at).collect()
+    }
+
+    /// Recorded channels of group `g` less interference, and the motion of its base, by record.
+    fn bases_of(&self, g: usize, built: &[Box<dyn Effect>], sources: &[usize]) -> (Vec<Bins>, Bins) {
+        let n_record = self.groups[g].records.len();
         let measured: Vec<Bins> = (0..n_record).map(|record| self.measured(At { group: g, record }, built)).collect();
         let undone: Option<Vec<Operator>> =
             self.operators(g, built, 0).map(|all| all.iter().map(Operator::undone).collect());
         let recorded: Vec<&[C64]> = measured.iter().map(|m| m[sources[0]].as_slice()).collect();
-        let bases: Vec<Vec<C64>> = (0..n_record).map(|r| through(&undone, r, &recorded)).collect();
+        let bases = (0..n_record).map(|r| self.through(g, undone.as_ref(), r, &recorded)).collect();
+        (measured, bases)
+    }
+
+    /// The channel on which each sensor was recorded, the input sensor first.
+    fn sources(&self, built: &[Box<dyn Effect>]) -> Vec<usize> {
+        (0..self.names.len()).map(|s| self.source(built, s)).collect()
+    }
+
+    /// Motion of the base in each record.
+    pub fn bases(&self, built: &[Box<dyn Effect>]) -> Bins {
+        let sources = self.sources(built);
+        (0..self.groups.len()).flat_map(|g| self.bases_of(g, built, &sources).1).collect()
+    }
+
+    fn of_group(&self, g: usize, built: &[Box<dyn Effect>], sources: &[usize], motions: &[Bins]) -> Vec<Predicted> {
+        let n_record = self.groups[g].records.len();
+        let (measured, bases) = self.bases_of(g, built, sources);
         let arriving: Vec<&dyn Effect> =
             built.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect();
         let n_sensor = self.names.len() - 1;
@@ -277,7 +310,7 @@ impl<'a> Forward<'a> {
                 })
                 .collect();
             let own: Vec<&[C64]> = own.iter().map(Vec::as_slice).collect();
-            (0..n_record).map(|r| through(&operators, r, &own)).collect()
+            (0..n_record).map(|r| self.through(g, operators.as_ref(), r, &own)).collect()
         };
         let mut outputs: Vec<Bins> = vec![Vec::with_capacity(n_sensor); n_record];
         for by_record in (0..n_sensor).map(recorded_by) {

@@ -12,7 +12,7 @@ use toml::Table;
 const ROUNDS: usize = 4;
 const STILL: f64 = 0.1;
 /// When a fit of these rounds ends.
-const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false };
+const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false, may_replay: true };
 
 /// Replays of a column with some effects more.
 struct With<'a> {

@@ -23,7 +23,7 @@ use toml::{Table, Value};
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 40);
+const TWIN: (&str, u32) = ("twin", 41);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.

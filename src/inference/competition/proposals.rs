@@ -162,7 +162,7 @@ impl<'a> Competition<'a> {
         let told = on_threads(nodes.len(), |i| Self::told(by, base, nodes[i].clone()));
         let mut all: Vec<Direction> = told.into_iter().flatten().collect();
         if !is_far {
-            all.extend(along(Self::nodes(&smooth, SLIGHT, false)));
+            all.extend(Self::slight(by, base, &Self::nodes(&smooth, SLIGHT, false)));
             let further = self.further(by, base, &all);
             all.extend(along(further));
         }
@@ -188,6 +188,21 @@ impl<'a> Competition<'a> {
     fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
         let change = by.change_with(base, &node.instance, &node.at).ok()?;
         Some(Direction { node, change: Arc::new(change) })
+    }
+
+    /// The same towards slight nodes, by the equivalent-linear column where it has them: so little is lost among what a replay does by
+    /// chance.
+    fn slight(by: &Fitter<'a>, base: &Fit<'a>, nodes: &[Node]) -> Vec<Direction> {
+        let near = by.near(&base.model, &base.x);
+        let of = |i: usize| {
+            let node = nodes[i].clone();
+            let found = near.as_ref().filter(|_| by.is_replayed(&node.instance));
+            match found.and_then(|near| by.change_by(near, base, &node.instance, &node.at)) {
+                Some(change) => Some(Direction { node, change: Arc::new(change) }),
+                None => Self::direction(by, base, node),
+            }
+        };
+        on_threads(nodes.len(), of).into_iter().flatten().collect()
     }
 
     /// [`Self::direction`] towards the node, or towards one so strong that the records tell what it does.

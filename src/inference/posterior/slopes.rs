@@ -1,8 +1,12 @@
 //! How residuals change with the coordinates of a model: by coordinate, along the principal axes of the posterior, and by what steps did.
 
-use super::{Fitter, JITTER, Point, combined, information};
+use super::{Fit, Fitter, JITTER, Point, combined, information, square};
+use crate::effects::Instance;
+use crate::error::Result;
 use crate::inference::algebra::inverse;
-use crate::inference::parameters::Model;
+use crate::inference::convention;
+use crate::inference::equivalent::Neighbourhood;
+use crate::inference::parameters::{Model, is_replayed};
 use crate::inference::weights::Rows;
 use crate::numerics::threads::on_threads;
 use faer::linalg::solvers::Solve;
@@ -10,7 +14,7 @@ use faer::{Mat, Side};
 use std::sync::Arc;
 
 /// Length of the displacements along which slopes are taken, posterior standard deviations.
-const SHARE: f64 = 0.5;
+const SHARE: f64 = 1.0;
 /// Posterior over prior variance along a principal axis above which the records tell so little of it (½ ln of it of the evidence) that no
 /// replay of its slope is worth its time.
 const UNTOLD: f64 = 0.8;
@@ -27,24 +31,88 @@ pub struct Axes {
 type Same = [(usize, Vec<(usize, f64)>)];
 
 impl<'a> Fitter<'a> {
-    /// How residuals change with coordinate `i`; `None` where the column does not finish beside it.
+    /// What is near `x` by the equivalent-linear column.
+    pub fn near(&self, model: &Model<'a>, x: &[f64]) -> Option<Neighbourhood<'a, 'a>> {
+        Neighbourhood::new(self.forward, &model.tables(x)).ok()
+    }
+
+    /// How an effect besides changes the residuals of `base`, by what is `near` that; `None` where that does not have it.
+    pub fn change_by(
+        &self,
+        near: &Neighbourhood<'_, 'a>,
+        base: &Fit<'a>,
+        effect: &Instance,
+        at: &[f64],
+    ) -> Option<Rows> {
+        let mut model = base.model.clone();
+        model.effects.push(effect.clone());
+        let x: Vec<f64> = base.x.iter().chain(at).copied().collect();
+        let change = combined(&*self.rows_by(near, &model, &x).ok()?, &base.rows, 1.0, -1.0);
+        (square(&change) > 0.0).then_some(change)
+    }
+
+    /// Whether an effect changes the motion of the column.
+    pub fn is_replayed(&self, effect: &Instance) -> bool {
+        is_replayed(effect, &self.forward.problem.array.input)
+    }
+
+    /// Residuals at `x` by what is `near`.
+    fn rows_by(&self, near: &Neighbourhood<'_, 'a>, model: &Model<'a>, x: &[f64]) -> Result<Arc<Rows>> {
+        let tables = model.tables(x);
+        let mut prediction = self.forward.recorded(&tables, &near.motions(&tables)?)?;
+        convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
+        Ok(self.rows(&prediction).0)
+    }
+
+    /// How residuals change with coordinate `i` by a replay; `None` where the column does not finish beside it.
     pub(super) fn slope(&self, model: &Model<'a>, at: &Point, i: usize) -> Option<Arc<Rows>> {
+        self.difference(model, at, i, &|x| Ok(self.point(model, x.to_vec())?.rows))
+    }
+
+    fn difference(
+        &self,
+        model: &Model<'a>,
+        at: &Point,
+        i: usize,
+        rows: &dyn Fn(&[f64]) -> Result<Arc<Rows>>,
+    ) -> Option<Arc<Rows>> {
         let step = model.step(&at.x, i);
         let mut beside = at.x.clone();
         beside[i] += step;
-        let there = self.point(model, beside).ok()?;
-        Some(Arc::new(combined(&there.rows, &at.rows, 1.0 / step, -1.0 / step)))
+        Some(Arc::new(combined(&*rows(&beside).ok()?, &at.rows, 1.0 / step, -1.0 / step)))
     }
 
     /// Slopes by replays, those apart that are `known` and would need one.
     pub(super) fn slopes(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
+        self.slopes_by(model, at, known, &|_| None)
+    }
+
+    /// The same by the equivalent-linear column; what that does not have is replayed.
+    pub(super) fn slopes_near(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
+        let is_open = |i: usize| model.is_replayed(i) && known.get(i).is_none_or(Option::is_none);
+        let near = (0..model.len()).any(is_open).then(|| self.near(model, &at.x)).flatten();
+        self.slopes_by(model, at, known, &|i| {
+            let near = near.as_ref().filter(|_| model.is_replayed(i))?;
+            let found = self.difference(model, at, i, &|x| self.rows_by(near, model, x))?;
+            (square(&found) > 0.0).then_some(found)
+        })
+    }
+
+    /// Slopes that are `known` or found by `first` where the coordinate changes how the column is shaken, and replayed where neither is.
+    fn slopes_by(
+        &self,
+        model: &Model<'a>,
+        at: &Point,
+        known: &[Option<Arc<Rows>>],
+        first: &(dyn Fn(usize) -> Option<Arc<Rows>> + Sync),
+    ) -> Vec<Arc<Rows>> {
         let same = model.same(&at.x);
         let nothing = || Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
         let of = |i: usize| {
             if same.iter().any(|(effect, _)| *effect == i) {
                 return nothing();
             }
-            let own = known.get(i).cloned().flatten().filter(|_| model.is_replayed(i));
+            let own = known.get(i).cloned().flatten().or_else(|| first(i)).filter(|_| model.is_replayed(i));
             own.or_else(|| self.slope(model, at, i)).unwrap_or_else(nothing)
         };
         let mut slopes = on_threads(model.len(), of);
@@ -150,6 +218,13 @@ impl<'a> Fitter<'a> {
         }
     }
 
+    /// What a step did beyond what slopes say of it.
+    pub(super) fn missed(slopes: &[Arc<Rows>], [from, to]: [&Point; 2]) -> Rows {
+        let moved = from.x.iter().zip(&to.x).map(|(from, to)| from - to);
+        let change = combined(&to.rows, &from.rows, 1.0, -1.0);
+        slopes.iter().zip(moved).fold(change, |missed, (slope, back)| combined(&missed, slope, 1.0, back))
+    }
+
     /// Corrects slopes by what a step did, along it alone.
     ///
     /// ```text
@@ -173,10 +248,7 @@ impl<'a> Fitter<'a> {
         if square < 1e-12 {
             return;
         }
-        let mut missed = combined(&to.rows, &from.rows, 1.0, -1.0);
-        for (i, slope) in slopes.iter().enumerate() {
-            missed = combined(&missed, slope, 1.0, from.x[i] - to.x[i]);
-        }
+        let missed = Self::missed(slopes, [from, to]);
         for (i, slope) in slopes.iter_mut().enumerate() {
             let factor = delta[i] / ((square + JITTER * JITTER) * prior[i][1]);
             if model.is_replayed(i) && factor != 0.0 {
