@@ -83,9 +83,7 @@ impl State {
     /// As [`State::new`].
     pub fn tuned(forward: &Forward<'_>, tables: &[Table], motions: &[Bins]) -> Result<Self> {
         let mut state = Self::new(forward, tables, None)?;
-        let of = |i: usize| {
-            state.columns[i].tuned(&forward.shaking(i, &state.bases[i]), &state.depths_m, &motions[i])
-        };
+        let of = |i: usize| state.columns[i].tuned(&forward.shaking(i, &state.bases[i]), &state.depths_m, &motions[i]);
         state.tuning = (0..state.columns.len()).into_par_iter().map(of).collect();
         Ok(state)
     }

@@ -89,12 +89,7 @@ impl<'a> Forward<'a> {
         Ok(Self::of(problem, replay, Arc::new(Equivalent::new(problem, high_hz)), groups))
     }
 
-    fn of(
-        problem: &'a Problem,
-        replay: &'a dyn Replay,
-        equivalent: Arc<Equivalent>,
-        groups: Vec<Group>,
-    ) -> Self {
+    fn of(problem: &'a Problem, replay: &'a dyn Replay, equivalent: Arc<Equivalent>, groups: Vec<Group>) -> Self {
         let of_group = |(group, g): (usize, &Group)| (0..g.records.len()).map(move |record| At { group, record });
         let records: Vec<At> = groups.iter().enumerate().flat_map(of_group).collect();
         Self {

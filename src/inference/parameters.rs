@@ -32,7 +32,8 @@ pub const NONLINEARITY_LN: f64 = 0.15;
 pub const CURVATURE_LN: f64 = 0.05;
 pub const HYSTERESIS_LN: f64 = 0.1;
 /// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
-/// time steps of the program that has it, make of a ratio.
+/// time steps of the program that has it, make of a ratio. It is that of programs that differ by the default `tolerances.model`; where
+/// the column is declared to be closer, or farther off, so is its damping.
 ///
 /// Source: Régnier et al. (2016), doi 10.1785/0120150284, for programs given the same column; Darendeli (2001) has 0.008 for a ratio of
 /// 0.01 in the laboratory alone.
@@ -135,7 +136,7 @@ impl Declared {
         // What damping depends on before how much there is: a multiplier is of all of it.
         let mut others = rayleigh(&array.profile)?;
         others.extend([
-            damping(array, t.damping_ln)?,
+            damping(array, t)?,
             curve("nonlinearity", "ln_gamma_ref", NONLINEARITY_LN)?,
             curve("curve_shape", "ln_curvature", CURVATURE_LN)?,
             curve("curve_shape", "ln_hysteresis", HYSTERESIS_LN)?,
@@ -376,11 +377,12 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
 }
 
 /// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared.
-fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
+fn damping(array: &Array, tolerances: &Tolerances) -> Result<Tolerance> {
     let column = Column::new(&array.profile, &Analysis::default())?;
     let ratio = column.small_strain_damping_ratio(column.frequency_hz());
-    let absolute = if ratio > 0.0 { DAMPING_RATIO / ratio } else { 0.0 };
-    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)? })
+    let closeness = tolerances.model / Tolerances::default().model;
+    let absolute = if ratio > 0.0 { closeness * DAMPING_RATIO / ratio } else { 0.0 };
+    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], tolerances.damping_ln)? })
 }
 
 /// Rayleigh damping in place of the damping that laws remember and that does not depend on frequency, as other programs have it for the

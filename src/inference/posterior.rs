@@ -330,12 +330,17 @@ impl<'a> Fitter<'a> {
                 }
                 _ => is_due |= !is_fresh,
             }
-            if let (true, Origin::Carried, Some(found), Some(missed)) = (is_doubtful, before, &found, &missed) {
-                let near = self.slopes_near(&model, &at, &[]);
-                if square(&Self::missed(&near, [&from, found])) < square(missed) {
-                    (slopes, origin, is_due) = (near, Origin::Equivalent, false);
-                } else if !stop.may_replay {
-                    radius *= SHORTER;
+            if is_doubtful && before == Origin::Carried {
+                let near = missed.is_some().then(|| self.slopes_near(&model, &at, &[]));
+                let is_better = |near: &Vec<Arc<Rows>>, found: &Point, missed: &Rows| {
+                    square(&Self::missed(near, [&from, found])) < square(missed)
+                };
+                match (near, &found, &missed) {
+                    (Some(near), Some(found), Some(missed)) if is_better(&near, found, missed) => {
+                        (slopes, origin, is_due) = (near, Origin::Equivalent, false);
+                    }
+                    _ if !stop.may_replay => radius *= SHORTER,
+                    _ => {}
                 }
             }
             if is_due && stop.may_replay {
