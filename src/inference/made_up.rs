@@ -1,6 +1,7 @@
 //! A made-up array for tests: a uniform elastic column that an analytic solution replays.
 
-use crate::column::{Layer, Profile};
+use crate::column::{Analysis, BaseMotion, Column, Layer, Profile};
+use crate::dataset::all_sensor_histories;
 use crate::diagnosis::{Event, Motions, NoiseSpectrum, Problem, Replay, Tolerances};
 use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
 use crate::error::Result;
@@ -15,6 +16,8 @@ type C64 = Complex<f64>;
 pub const DT_S: f64 = 0.02;
 const STEPS: usize = 2048;
 const DEPTH_M: f64 = 40.0;
+/// Of the nonlinear column.
+const ELEMENTS: usize = 80;
 /// Damping ratio of the declared column.
 pub const DAMPING: f64 = 0.02;
 
@@ -131,6 +134,22 @@ impl Replay for Uniform<'_> {
             Some(self.0.array.depths_m.iter().map(at).collect())
         };
         Ok(self.0.events.iter().map(passed).collect())
+    }
+}
+
+/// Replays the nonlinear column of the declared profile.
+pub struct Nonlinear<'a>(pub &'a Problem);
+
+impl Replay for Nonlinear<'_> {
+    fn replay(&self, tables: &[toml::Table]) -> Result<Motions> {
+        let mut profile = Profile { elements: ELEMENTS, ..self.0.array.profile.clone() };
+        effects::build_all(tables)?.iter().for_each(|e| e.edit(&mut profile, &Situation::default()));
+        let analysis = Analysis { output_step_s: DT_S, max_jump: f64::INFINITY, ..Analysis::default() };
+        let column = Column::new(&profile, &analysis)?;
+        let bases: Vec<BaseMotion<'_>> =
+            self.0.events.iter().map(|e| BaseMotion { dt_s: DT_S, acceleration_m_s2: &e.input }).collect();
+        let found = all_sensor_histories(&column, &bases, &self.0.array.depths_m);
+        found.into_iter().map(|histories| Ok(Some(histories?.split_off(1)))).collect()
     }
 }
 

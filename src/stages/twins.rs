@@ -51,7 +51,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        38
+        39
     }
 
     fn reads(&self) -> &'static [&'static str] {
