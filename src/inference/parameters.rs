@@ -16,7 +16,7 @@ use super::convention::Slope;
 use super::depth_modes::{modes, ranges};
 use crate::column::{Analysis, Column, Profile, Rayleigh};
 use crate::diagnosis::{Problem, Tolerances};
-use crate::effects::{self, Array, Free, Instance, LAYER_VELOCITY_LN};
+use crate::effects::{self, Array, Free, Instance, LAYER_VELOCITY_LN, Situation};
 use crate::error::{Error, Result};
 use faer::Mat;
 use std::f64::consts::TAU;
@@ -32,12 +32,13 @@ pub const NONLINEARITY_LN: f64 = 0.15;
 pub const CURVATURE_LN: f64 = 0.05;
 pub const HYSTERESIS_LN: f64 = 0.1;
 /// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
-/// time steps of the program that has it, make of a ratio. It is that of programs that differ by the default `tolerances.model`; where
-/// the column is declared to be closer, or farther off, so is its damping.
+/// time steps of the program that has it, make of a ratio.
 ///
 /// Source: Régnier et al. (2016), doi 10.1785/0120150284, for programs given the same column; Darendeli (2001) has 0.008 for a ratio of
 /// 0.01 in the laboratory alone.
 pub const DAMPING_RATIO: f64 = 0.003;
+/// A multiplier of damping with which its unit is measured.
+const TWICE: f64 = 2.0;
 /// Standard deviations of the prior of a strength, as multiples of its typical size.
 pub const WIDE: f64 = 1.5;
 /// Least share of a declared damping.
@@ -136,7 +137,7 @@ impl Declared {
         // What damping depends on before how much there is: a multiplier is of all of it.
         let mut others = rayleigh(&array.profile)?;
         others.extend([
-            damping(array, t)?,
+            damping(array, t.damping_ln)?,
             curve("nonlinearity", "ln_gamma_ref", NONLINEARITY_LN)?,
             curve("curve_shape", "ln_curvature", CURVATURE_LN)?,
             curve("curve_shape", "ln_hysteresis", HYSTERESIS_LN)?,
@@ -376,13 +377,19 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
     }
 }
 
-/// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared.
-fn damping(array: &Array, tolerances: &Tolerances) -> Result<Tolerance> {
-    let column = Column::new(&array.profile, &Analysis::default())?;
-    let ratio = column.small_strain_damping_ratio(column.frequency_hz());
-    let closeness = tolerances.model / Tolerances::default().model;
-    let absolute = if ratio > 0.0 { closeness * DAMPING_RATIO / ratio } else { 0.0 };
-    Ok(Tolerance { absolute, ..Tolerance::new("small_strain_damping", "multiplier", &[], tolerances.damping_ln)? })
+/// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared. What one unit
+/// of the multiplier is in damping ratio is what the column makes of it: the declared ratio, or that of the effect where none is declared.
+fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
+    let tolerance = Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)?;
+    let mut more = array.profile.clone();
+    let table = tolerance.instance.at(&[TWICE.ln()]);
+    effects::build(&table)?.edit(&mut more, &Situation::default());
+    let declared = Column::new(&array.profile, &Analysis::default())?;
+    let frequency_hz = declared.frequency_hz();
+    let ratio = |column: &Column| column.small_strain_damping_ratio(frequency_hz);
+    let unit = (ratio(&Column::new(&more, &Analysis::default())?) - ratio(&declared)) / (TWICE - 1.0);
+    let absolute = if unit > 0.0 { DAMPING_RATIO / unit } else { 0.0 };
+    Ok(Tolerance { absolute, ..tolerance })
 }
 
 /// Rayleigh damping in place of the damping that laws remember and that does not depend on frequency, as other programs have it for the
@@ -409,7 +416,6 @@ mod tests {
     use super::super::made_up::{Truth, problem};
     use super::*;
     use crate::column::Layer;
-    use crate::effects::Situation;
     use std::sync::Arc;
 
     #[test]
@@ -433,6 +439,34 @@ mod tests {
         }
         let hysteretic = Profile::plain(vec![Layer::plain("sanisand", 20.0, 1900.0, 200.0)]);
         assert!(rayleigh(&hysteretic).unwrap().is_empty());
+    }
+
+    #[test]
+    fn what_programs_make_of_damping_is_the_same_whether_a_ratio_is_declared_or_none() {
+        // A fraction of one per cent, whatever the unit of the multiplier is.
+        let declared = |kind: &str, damping_ratio: Option<f64>| {
+            let mut array = problem(&Truth::default()).array;
+            let mut layer = Layer::plain(kind, 40.0, 2000.0, 200.0);
+            layer.law = Arc::new(damping_ratio.map(|r| ("damping_ratio".to_string(), r.into())).into_iter().collect());
+            array.profile = Profile { elements: 20, ..Profile::plain(vec![layer]) };
+            array
+        };
+        for (kind, ratio) in [("elastic", Some(0.01)), ("elastic", Some(0.04)), ("sanisand", None), ("cam_clay", None)]
+        {
+            let array = declared(kind, ratio);
+            // So close to nothing that it is linear.
+            let tolerance = damping(&array, 1e-6).unwrap();
+            let moved = |z: f64| {
+                let mut profile = array.profile.clone();
+                effects::build(&tolerance.table(z)).unwrap().edit(&mut profile, &Situation::default());
+                let column = Column::new(&profile, &Analysis::default()).unwrap();
+                column.small_strain_damping_ratio(
+                    Column::new(&array.profile, &Analysis::default()).unwrap().frequency_hz(),
+                )
+            };
+            let found = moved(1.0) - moved(0.0);
+            assert!((found / DAMPING_RATIO - 1.0).abs() < 0.1, "{kind} {ratio:?}: {found}");
+        }
     }
 
     #[test]
