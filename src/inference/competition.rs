@@ -359,15 +359,13 @@ impl<'a> Competition<'a> {
         base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
     }
 
-    /// Fits from `start` and keeps that; what it is compared with in the end is fitted to the end then.
+    /// Fits from `start` and keeps that; what comes close to the best model is fitted to its end first.
     fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) {
         let Ok(mut found) = self.fitter.fit(start, Stop::CLOSE) else { return };
         // Slopes that were carried may see nothing to be gained before there is nothing.
         if self.log_posterior(&found) > self.log_posterior(self.best()) - FAR {
-            match self.fitter.fit(Start::from(found), Stop::EXACT) {
-                Ok(exact) => found = exact,
-                Err(_) => return,
-            }
+            let Ok(exact) = self.fitter.fit(Start::from(found), Stop::EXACT) else { return };
+            found = exact;
         }
         progress.note(&self.described(&found));
         self.keep(found);

@@ -18,6 +18,7 @@ use crate::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Tunin
 use crate::error::Result;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
+use std::sync::Arc;
 use toml::Table;
 
 type C64 = Complex<f64>;
@@ -108,7 +109,7 @@ impl State {
 pub struct Neighbourhood<'f, 'a> {
     forward: &'f Forward<'a>,
     state: State,
-    replayed: Vec<Bins>,
+    replayed: Arc<Vec<Bins>>,
     motions: Vec<Bins>,
 }
 
@@ -118,7 +119,7 @@ impl<'f, 'a> Neighbourhood<'f, 'a> {
     /// # Errors
     /// When an effect or the column cannot be built or replayed.
     pub fn new(forward: &'f Forward<'a>, tables: &[Table]) -> Result<Self> {
-        let replayed = forward.corrected(tables)?.to_vec();
+        let replayed = forward.corrected(tables)?;
         let rough = State::tuned(forward, tables, &replayed)?;
         // As close to compatible strains as what starts from there will be.
         let state = State::new(forward, tables, Some(&rough))?;

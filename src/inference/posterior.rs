@@ -165,9 +165,20 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed.
     pub fn predict(&self, model: &Model<'a>, x: &[f64]) -> Result<Arc<Prediction>> {
-        let mut prediction = self.forward.predict(&model.tables(x))?;
+        Ok(Arc::new(Self::with_conventions(self.forward.predict(&model.tables(x))?, model, x)))
+    }
+
+    /// A prediction of the column alone with what the conventions of `model` at `x` add to it.
+    fn with_conventions(mut prediction: Prediction, model: &Model<'_>, x: &[f64]) -> Prediction {
         convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
-        Ok(Arc::new(prediction))
+        prediction
+    }
+
+    /// The model of `base` with an effect besides, whose coordinates are `at`, and all its coordinates.
+    fn model_with(base: &Fit<'a>, effect: &Instance, at: &[f64]) -> (Model<'a>, Vec<f64>) {
+        let mut model = base.model.clone();
+        model.effects.push(effect.clone());
+        (model, base.x.iter().chain(at).copied().collect())
     }
 
     /// What the model of `base` predicts with an effect besides, whose coordinates are `at`.
@@ -175,9 +186,7 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed.
     pub fn predict_with(&self, base: &Fit<'a>, effect: &Instance, at: &[f64]) -> Result<Arc<Prediction>> {
-        let mut model = base.model.clone();
-        model.effects.push(effect.clone());
-        let x: Vec<f64> = base.x.iter().chain(at).copied().collect();
+        let (model, x) = Self::model_with(base, effect, at);
         self.predict(&model, &x)
     }
 
@@ -303,7 +312,7 @@ impl<'a> Fitter<'a> {
             if has_converged && (is_fresh || !stop.is_exact) {
                 break;
             }
-            let found = if has_converged { None } else { self.point(&model, to.clone()).ok() };
+            let found = if has_converged { None } else { self.point(&model, to).ok() };
             let ratio = found.as_ref().map_or(f64::NEG_INFINITY, |found| (cost - self.cost(&model, found)) / expected);
             // Slopes that are not from replays and foretold something else are blamed before the length of the step is, if better ones
             // can be had.
@@ -318,8 +327,8 @@ impl<'a> Fitter<'a> {
             let mut is_due = is_doubtful || has_converged;
             let (from, before) = (at.clone(), origin);
             let missed = found.as_ref().map(|found| Self::missed(&slopes, [&from, found]));
-            if let Some(found) = &found {
-                Self::learn(&model, &mut slopes, [&from, found]);
+            if let (Some(found), Some(missed)) = (&found, &missed) {
+                Self::learn(&model, &mut slopes, [&from, found], missed);
             }
             match &found {
                 Some(found) if ratio > TAKEN => {
@@ -580,7 +589,6 @@ mod tests {
             let missed = (square(&combined(&near[i], &replayed[i], 1.0, -1.0)) / square(&replayed[i])).sqrt();
             println!("{i}: {missed:.3} of {:.1}", square(&replayed[i]).sqrt());
             assert!(missed < 0.1, "{i}: {missed}");
-
             told += 1;
         }
         assert!(told > 5, "{told}");

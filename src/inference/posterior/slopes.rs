@@ -4,7 +4,6 @@ use super::{Fit, Fitter, JITTER, Point, combined, information, square};
 use crate::effects::Instance;
 use crate::error::Result;
 use crate::inference::algebra::inverse;
-use crate::inference::convention;
 use crate::inference::equivalent::Neighbourhood;
 use crate::inference::parameters::{Model, is_replayed};
 use crate::inference::weights::Rows;
@@ -44,9 +43,7 @@ impl<'a> Fitter<'a> {
         effect: &Instance,
         at: &[f64],
     ) -> Option<Rows> {
-        let mut model = base.model.clone();
-        model.effects.push(effect.clone());
-        let x: Vec<f64> = base.x.iter().chain(at).copied().collect();
+        let (model, x) = Self::model_with(base, effect, at);
         let change = combined(&*self.rows_by(near, &model, &x).ok()?, &base.rows, 1.0, -1.0);
         (square(&change) > 0.0).then_some(change)
     }
@@ -59,9 +56,8 @@ impl<'a> Fitter<'a> {
     /// Residuals at `x` by what is `near`.
     fn rows_by(&self, near: &Neighbourhood<'_, 'a>, model: &Model<'a>, x: &[f64]) -> Result<Arc<Rows>> {
         let tables = model.tables(x);
-        let mut prediction = self.forward.recorded(&tables, &near.motions(&tables)?)?;
-        convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
-        Ok(self.rows(&prediction).0)
+        let prediction = self.forward.recorded(&tables, &near.motions(&tables)?)?;
+        Ok(self.rows(&Self::with_conventions(prediction, model, x)).0)
     }
 
     /// How residuals change with coordinate `i` by a replay; `None` where the column does not finish beside it.
@@ -225,7 +221,7 @@ impl<'a> Fitter<'a> {
         slopes.iter().zip(moved).fold(change, |missed, (slope, back)| combined(&missed, slope, 1.0, back))
     }
 
-    /// Corrects slopes by what a step did, along it alone.
+    /// Corrects slopes by what a step did beyond what they said of it, along it alone.
     ///
     /// ```text
     /// J ← J + (Δr − J δ) δᵀ/(δᵀ δ + τ²)                                      (1)
@@ -235,7 +231,7 @@ impl<'a> Fitter<'a> {
     /// coordinates whose slopes are replays; those of sensors are taken anew.
     ///
     /// Source: (1) Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6.
-    pub(super) fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2]) {
+    pub(super) fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2], missed: &Rows) {
         let prior = model.prior();
         let same = model.same(&from.x);
         let mut moved: Vec<f64> = to.x.iter().zip(&from.x).map(|(to, from)| to - from).collect();
@@ -248,11 +244,10 @@ impl<'a> Fitter<'a> {
         if square < 1e-12 {
             return;
         }
-        let missed = Self::missed(slopes, [from, to]);
         for (i, slope) in slopes.iter_mut().enumerate() {
             let factor = delta[i] / ((square + JITTER * JITTER) * prior[i][1]);
             if model.is_replayed(i) && factor != 0.0 {
-                *slope = Arc::new(combined(slope, &missed, 1.0, factor));
+                *slope = Arc::new(combined(slope, missed, 1.0, factor));
             }
         }
         Self::join(&same, slopes);
