@@ -38,8 +38,8 @@ impl Downgoing {
     pub(super) fn new(mesh: &Mesh, corner_hz: f64) -> Self {
         let step_hz = mesh.frequency_hz / A_MODE;
         let count = (HIGHEST_HZ / step_hz).ceil().max(1.0) as usize + 1;
-        let densities = densities(mesh);
-        let base = (0..count).map(|k| base(mesh, &densities, k as f64 * step_hz, corner_hz)).collect();
+        let slabs = slabs(mesh);
+        let base = (0..count).map(|k| base(&slabs, k as f64 * step_hz, corner_hz)).collect();
         Self { step_hz, base }
     }
 
@@ -57,18 +57,41 @@ impl Downgoing {
     }
 }
 
-/// Densities of the elements, surface down, kg/m³: that which moves horizontally, lumped by halves at the nodes.
-fn densities(mesh: &Mesh) -> Vec<f64> {
+/// Elements on top of each other that are alike.
+struct Slab<'m> {
+    element: &'m Element,
+    /// That which moves horizontally, lumped by halves at the nodes, kg/m³.
+    density_kg_m3: f64,
+    count: usize,
+}
+
+/// Share of a value within which elements are alike: how far sums of lumped masses are rounded.
+const ALIKE: f64 = 1e-9;
+
+/// The elements of `mesh`, surface down.
+fn slabs(mesh: &Mesh) -> Vec<Slab<'_>> {
+    let is_near = |a: f64, b: f64| (a - b).abs() <= ALIKE * b.abs();
+    let mut slabs: Vec<Slab<'_>> = Vec::new();
     let mut half = 0.0;
-    let of = |(element, mass): (&Element, &[f64; 2])| {
+    for (element, mass) in mesh.elements.iter().zip(&mesh.mass) {
         half = mass[0] - half;
-        2.0 * half / element.height_m
-    };
-    mesh.elements.iter().zip(&mesh.mass).map(of).collect()
+        let density_kg_m3 = 2.0 * half / element.height_m;
+        let is_alike = |s: &&mut Slab<'_>| {
+            let own = [density_kg_m3, element.height_m, element.elastic_pa[0], element.container_pa, element.beta_s];
+            let (e, d) = (s.element, s.density_kg_m3);
+            let all = [d, e.height_m, e.elastic_pa[0], e.container_pa, e.beta_s];
+            e.relaxation == element.relaxation && own.into_iter().zip(all).all(|(a, b)| is_near(a, b))
+        };
+        match slabs.last_mut().filter(is_alike) {
+            Some(slab) => slab.count += 1,
+            None => slabs.push(Slab { element, density_kg_m3, count: 1 }),
+        }
+    }
+    slabs
 }
 
 /// u/U of (1) at one frequency.
-fn base(mesh: &Mesh, densities: &[f64], frequency_hz: f64, corner_hz: f64) -> C64 {
+fn base(slabs: &[Slab<'_>], frequency_hz: f64, corner_hz: f64) -> C64 {
     let one = C64::new(1.0, 0.0);
     if frequency_hz == 0.0 {
         return one;
@@ -76,12 +99,12 @@ fn base(mesh: &Mesh, densities: &[f64], frequency_hz: f64, corner_hz: f64) -> C6
     let omega = TAU * frequency_hz;
     // Displacement, and stress over ω: both real where nothing is lost.
     let (mut u, mut tau, mut impedance) = (one, C64::new(0.0, 0.0), one);
-    for (element, density) in mesh.elements.iter().zip(densities) {
+    for Slab { element, density_kg_m3, count } in slabs {
         let [re, im] = element.relaxation.map_or([1.0, 0.0], |r| r.modulus(frequency_hz));
         let soil_pa = C64::new(re, im + omega * element.beta_s) * element.elastic_pa[0];
         let modulus_pa = soil_pa + element.container_pa;
-        impedance = (modulus_pa * *density).sqrt();
-        let phase = modulus_pa.inv() * impedance * (omega * element.height_m);
+        impedance = (modulus_pa * *density_kg_m3).sqrt();
+        let phase = modulus_pa.inv() * impedance * (omega * element.height_m * *count as f64);
         let (sin, cos) = (phase.sin(), phase.cos());
         // τ = G ∂u/∂z, z down.
         (u, tau) = (u * cos + tau * sin / impedance, tau * cos - u * sin * impedance);

@@ -50,7 +50,7 @@ pub fn diagnose(
     x.resize(model.len(), 0.0);
     let prediction = std::sync::Arc::new(forward.predict(&tables)?);
     let fitter = Fitter::new(&forward, spread, prediction);
-    let fit = fitter.fit(Start::at(model, x), Stop::EXACT)?;
+    let fit = fitter.fit(Start::at(model, x), Stop::CLOSE)?;
     let in_few = forward.in_groups(&few::groups(&forward));
     let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
     let mut competition = Competition::new(fitter, fit, few, settings.max_effects);

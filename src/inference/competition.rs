@@ -11,7 +11,7 @@ mod proposals;
 use super::few::Few;
 use super::forward::{Forward, Prediction, channels};
 use super::parameters::Model;
-use super::posterior::{Fit, Fitter, Start, Stop, combined, square};
+use super::posterior::{Fit, Fitter, Replays, Start, Stop, combined, square};
 use super::weights::{Rows, Spread, Weights};
 use crate::effects::{self, Array, Instance};
 use crate::error::Result;
@@ -25,7 +25,7 @@ use std::sync::Arc;
 const HEATS: usize = 4;
 const FINALS: usize = 3;
 /// Steps of the first fits.
-const HEAT: Stop = Stop { steps: 8, gain: 0.3, is_exact: false, may_replay: false };
+const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
 /// ln of the odds against the best within which models count for the answer, and within which they are fitted to all events and kept when
@@ -133,7 +133,7 @@ impl<'a> Competition<'a> {
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
         for _ in 0..ROUNDS {
-            self.renew_anchor()?;
+            self.renew_anchor(Stop::CLOSE)?;
             self.renew_spread(progress)?;
             self.renew_parts()?;
             // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what
@@ -152,7 +152,7 @@ impl<'a> Competition<'a> {
     /// Fits to the end whatever counts for the answer.
     fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
         for _ in 0..SETTLINGS {
-            self.renew_anchor()?;
+            self.renew_anchor(Stop::EXACT)?;
             let leading = self.best().model.effects.clone();
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {
@@ -169,9 +169,8 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
-    /// Fits the best model to the end and takes out what few elements leave wrong beside it, until the records cannot tell what is left of
-    /// that.
-    fn renew_anchor(&mut self) -> Result<()> {
+    /// Takes out what few elements leave wrong beside the best model and fits that anew, until the records cannot tell what is left of it.
+    fn renew_anchor(&mut self, stop: Stop) -> Result<()> {
         for _ in 0..ANCHORS {
             let best = self.best().clone();
             self.fitter.forward.anchor(&best.model.tables(&best.x))?;
@@ -181,10 +180,10 @@ impl<'a> Competition<'a> {
             let Some(index) = self.known(&best.model.effects) else { break };
             let there = self.fits[index].clone();
             let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
-            if 0.5 * square(&moved) < TOLD && there.axes.is_some() {
+            if 0.5 * square(&moved) < TOLD && (there.axes.is_some() || stop.replays != Replays::AtTheEnd) {
                 break;
             }
-            self.fits[index] = self.fitter.fit(Start::from(there), Stop::EXACT)?;
+            self.fits[index] = self.fitter.fit(Start::from(there), stop)?;
         }
         Ok(())
     }
@@ -359,14 +358,9 @@ impl<'a> Competition<'a> {
         base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
     }
 
-    /// Fits from `start` and keeps that; what comes close to the best model is fitted to its end first.
+    /// Fits from `start` and keeps that.
     fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) {
-        let Ok(mut found) = self.fitter.fit(start, Stop::CLOSE) else { return };
-        // Slopes that were carried may see nothing to be gained before there is nothing.
-        if self.log_posterior(&found) > self.log_posterior(self.best()) - FAR {
-            let Ok(exact) = self.fitter.fit(Start::from(found), Stop::EXACT) else { return };
-            found = exact;
-        }
+        let Ok(found) = self.fitter.fit(start, Stop::CLOSE) else { return };
         progress.note(&self.described(&found));
         self.keep(found);
     }

@@ -11,8 +11,6 @@ use toml::Table;
 /// Most rounds, and the change of the column's level (ln) below which they end.
 const ROUNDS: usize = 4;
 const STILL: f64 = 0.1;
-/// When a fit of these rounds ends.
-const ROUGHLY: Stop = Stop { steps: 12, gain: 0.5, is_exact: false, may_replay: true };
 
 /// Replays of a column with some effects more.
 struct With<'a> {
@@ -73,7 +71,8 @@ pub(super) fn recalibrated<'a>(
     for round in 0..ROUNDS {
         let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
         let start = Start::at(model.clone(), x);
-        let fit = if round == 0 { fitter.fit_from_afar(start, ROUGHLY)? } else { fitter.fit(start, ROUGHLY)? };
+        let fit =
+            if round == 0 { fitter.fit_from_afar(start, Stop::CLOSE)? } else { fitter.fit(start, Stop::CLOSE)? };
         (x, prediction) = (fit.x, fit.prediction);
         let found = Spread::estimated(forward, &prediction);
         let is_still = (found.level / spread.level).ln().abs() < STILL;

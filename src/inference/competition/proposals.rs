@@ -4,9 +4,11 @@
 use super::{Competition, HEATS, Look, TOLD};
 use crate::effects::{self, Instance};
 use crate::inference::algebra::{self, Quadratic};
+use crate::inference::equivalent::Neighbourhood;
 use crate::inference::parameters::{Model, prior_of};
-use crate::inference::posterior::{Fit, Fitter, Start, combined, gradient, square};
+use crate::inference::posterior::{Fit, Fitter, Start, combined, dot, gradient, square};
 use crate::inference::weights::{Rows, line_hz};
+use crate::metrics::median;
 use crate::numerics::threads::on_threads;
 use faer::Mat;
 use std::collections::BTreeMap;
@@ -27,6 +29,9 @@ const LINE_STEPS: i32 = 4;
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
 
+/// Share of what candidates do that has to be along what the equivalent-linear column has them do.
+const BORNE_OUT: f64 = 0.5;
+
 /// A candidate at one strength.
 #[derive(Clone)]
 struct Node {
@@ -43,6 +48,8 @@ struct Node {
 struct Direction {
     node: Node,
     change: Arc<Rows>,
+    /// Whether that is from a replay.
+    is_replayed: bool,
 }
 
 /// An effect of a proposal.
@@ -152,19 +159,26 @@ impl<'a> Competition<'a> {
         if n_open == 0 && look != Look::AtRivals {
             return proposals;
         }
-        let along = |nodes: Vec<Node>| -> Vec<Direction> {
-            on_threads(nodes.len(), |i| Self::direction(by, base, nodes[i].clone())).into_iter().flatten().collect()
-        };
         // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
         // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
         // Further nodes are multiples of these, which come first.
         let nodes = Self::nodes(&smooth, NODES[usize::from(is_far)], is_far);
-        let told = on_threads(nodes.len(), |i| Self::told(by, base, nodes[i].clone()));
-        let mut all: Vec<Direction> = told.into_iter().flatten().collect();
+        let near = by.near(&base.model, &base.x);
+        let of = |near: Option<&Neighbourhood<'_, 'a>>, nodes: Vec<Node>| -> Vec<Direction> {
+            on_threads(nodes.len(), |i| Self::told(near, by, base, nodes[i].clone())).into_iter().flatten().collect()
+        };
+        let mut all = of(near.as_ref(), nodes.clone());
+        let again = of(None, self.shortlist(by, base, &all, is_far));
+        // What is promising by the equivalent-linear column is replayed, and everything where replays do something else.
+        if !bears_out(&again, &all) {
+            all = of(None, nodes);
+        }
+        all.retain(|d| !again.iter().any(|n| n.node.instance == d.node.instance));
+        all.extend(again);
         if !is_far {
-            all.extend(Self::slight(by, base, &Self::nodes(&smooth, SLIGHT, false)));
-            let further = self.further(by, base, &all);
-            all.extend(along(further));
+            let slight = Self::nodes(&smooth, SLIGHT, false);
+            let slight = on_threads(slight.len(), |i| Self::direction(near.as_ref(), by, base, slight[i].clone()));
+            all.extend(slight.into_iter().flatten());
         }
         let Some(beside) = Linear::new(by, base, &all) else { return proposals };
         if n_open > 0 {
@@ -184,35 +198,28 @@ impl<'a> Competition<'a> {
         proposals
     }
 
-    /// How the residuals of `base` change towards a node.
-    fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
-        let change = by.change_with(base, &node.instance, &node.at).ok()?;
-        Some(Direction { node, change: Arc::new(change) })
-    }
-
-    /// The same towards slight nodes, by the equivalent-linear column where it has them: so little is lost among what a replay does by
-    /// chance.
-    fn slight(by: &Fitter<'a>, base: &Fit<'a>, nodes: &[Node]) -> Vec<Direction> {
-        let near = by.near(&base.model, &base.x);
-        let of = |i: usize| {
-            let node = nodes[i].clone();
-            let found = near.as_ref().filter(|_| by.is_replayed(&node.instance));
-            match found.and_then(|near| by.change_by(near, base, &node.instance, &node.at)) {
-                Some(change) => Some(Direction { node, change: Arc::new(change) }),
-                None => Self::direction(by, base, node),
-            }
-        };
-        on_threads(nodes.len(), of).into_iter().flatten().collect()
+    /// How the residuals of `base` change towards a node: by the equivalent-linear column `near` it where there is one and it has that.
+    fn direction(
+        near: Option<&Neighbourhood<'_, 'a>>,
+        by: &Fitter<'a>,
+        base: &Fit<'a>,
+        node: Node,
+    ) -> Option<Direction> {
+        let near = near.filter(|_| by.is_replayed(&node.instance));
+        let known = near.and_then(|near| by.change_by(near, base, &node.instance, &node.at));
+        let is_replayed = known.is_none();
+        let change = known.or_else(|| by.change_with(base, &node.instance, &node.at).ok())?;
+        Some(Direction { node, change: Arc::new(change), is_replayed })
     }
 
     /// [`Self::direction`] towards the node, or towards one so strong that the records tell what it does.
-    fn told(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
-        let mut found = Self::direction(by, base, node)?;
+    fn told(near: Option<&Neighbourhood<'_, 'a>>, by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
+        let mut found = Self::direction(near, by, base, node)?;
         for _ in 0..STRONGER_TIMES {
             if 0.5 * square(&found.change) > TOLD {
                 break;
             }
-            let Some(stronger) = Self::direction(by, base, found.node.times(STRONGER)) else { break };
+            let Some(stronger) = Self::direction(near, by, base, found.node.times(STRONGER)) else { break };
             found = stronger;
         }
         Some(found)
@@ -247,24 +254,26 @@ impl<'a> Competition<'a> {
         Some(Proposal { parts: vec![part], instead_of: None, beside: base.x.clone(), log_posterior })
     }
 
-    /// Further nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point.
-    fn further(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction]) -> Vec<Node> {
+    /// Nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point: where they were
+    /// looked at, and unless that `is_far` a stronger one.
+    fn shortlist(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction], is_far: bool) -> Vec<Node> {
         let mut places: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();
         let mut found = 0;
         let Some(linear) = Linear::new(by, base, directions) else { return nodes };
-        for (_, single) in self.singles(&linear, |_| true) {
+        for (index, single) in self.singles(&linear, |_| true) {
             let Part { instance, start: toward, .. } = &single.parts[0];
             if !is_among_best(&mut places, instance) || found == SHORTLIST {
                 continue;
             }
             found += 1;
-            let Some(known) = directions.iter().find(|d| d.node.instance == *instance) else { continue };
+            let known = &directions[index].node;
             let zero = instance.zero().unwrap_or_default();
-            let is_opposite = zero.iter().zip(toward).zip(&known.node.at).any(|((z, t), at)| (t - z) * (at - z) < 0.0);
-            let strengths = if is_opposite { vec![-NODES[0], -NODES[1]] } else { vec![NODES[1]] };
-            for strength in strengths {
-                nodes.push(Node { is_one_sided: true, ..known.node.times(strength / NODES[0]) });
+            let is_opposite = zero.iter().zip(toward).zip(&known.at).any(|((z, t), at)| (t - z) * (at - z) < 0.0);
+            let side = if is_opposite { -1.0 } else { 1.0 };
+            let further = if is_far { None } else { Some(NODES[1] / NODES[0]) };
+            for strength in [Some(1.0), further].into_iter().flatten() {
+                nodes.push(Node { is_one_sided: true, ..known.times(side * strength) });
             }
         }
         nodes
@@ -395,7 +404,7 @@ impl Node {
 impl Direction {
     /// The candidate at this share of its node.
     fn part(&self, share: f64) -> Part {
-        let Self { node, change } = self;
+        let Self { node, change, .. } = self;
         let zero = node.instance.zero().unwrap_or_default();
         let at = zero.iter().zip(&node.at).map(|(a, b)| a + share * (b - a));
         let start = at.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
@@ -412,6 +421,17 @@ pub(super) fn away(instance: &Instance, zero: &[f64], size: f64, sign: f64) -> O
     let mut all = zero.to_vec();
     all[first] = at;
     ((at - zero[first]).abs() > 1e-3 * step).then_some(all)
+}
+
+/// Whether most candidates that were `replayed` change records along the directions that the equivalent-linear column `foretold` of them.
+fn bears_out(replayed: &[Direction], foretold: &[Direction]) -> bool {
+    let along = |found: &Direction| {
+        let told = foretold.iter().find(|d| !d.is_replayed && d.node.instance == found.node.instance)?;
+        let product = dot(&found.change, &told.change).powi(2);
+        Some(product / (square(&found.change) * square(&told.change)).max(f64::MIN_POSITIVE))
+    };
+    let shares: Vec<f64> = replayed.iter().filter_map(along).collect();
+    shares.is_empty() || median(&shares) > BORNE_OUT
 }
 
 /// Whether `other` could be taken for `own`: the catalogue knows them to be confused, or it is another place of the same.

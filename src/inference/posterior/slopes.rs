@@ -1,6 +1,7 @@
 //! How residuals change with the coordinates of a model: by coordinate, along the principal axes of the posterior, and by what steps did.
 
-use super::{Fit, Fitter, JITTER, Point, combined, information, square};
+use super::search::JITTER;
+use super::{Fit, Fitter, Point, combined, information, square};
 use crate::effects::Instance;
 use crate::error::Result;
 use crate::inference::algebra::inverse;
@@ -86,7 +87,8 @@ impl<'a> Fitter<'a> {
     /// The same by the equivalent-linear column; what that does not have is replayed.
     pub(super) fn slopes_near(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
         let is_open = |i: usize| model.is_replayed(i) && known.get(i).is_none_or(Option::is_none);
-        let near = (0..model.len()).any(is_open).then(|| self.near(model, &at.x)).flatten();
+        let is_wanted = self.surrogate.is_none() && (0..model.len()).any(is_open);
+        let near = is_wanted.then(|| self.near(model, &at.x)).flatten();
         self.slopes_by(model, at, known, &|i| {
             let near = near.as_ref().filter(|_| model.is_replayed(i))?;
             let found = self.difference(model, at, i, &|x| self.rows_by(near, model, x))?;

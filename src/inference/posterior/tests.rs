@@ -1,0 +1,232 @@
+//! Fits, their slopes and their evidence beside a made-up array.
+
+use super::*;
+use crate::diagnosis::{DiagnoseSettings, Problem};
+use crate::effects;
+use crate::inference::made_up::{DAMPING, Nonlinear, Truth, Uniform, problem};
+use crate::inference::parameters::Declared;
+use crate::numerics::random;
+use rand::RngExt;
+
+/// Fits the model with effects of `kinds` to `problem`, what is expected of residuals read off in turn.
+fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl for<'x> FnOnce(&Fit<'x>, &Fitter<'x>) -> T) -> T {
+    let replay = Uniform(problem);
+    let forward = Forward::new(problem, &replay, &DiagnoseSettings::default()).unwrap();
+    let declared = Declared::new(problem).unwrap();
+    let all = effects::instances(&problem.array);
+    let of = |kind: &&str| all.iter().find(|i| i.kind == *kind).unwrap().clone();
+    let model = Model { declared: &declared, effects: kinds.iter().map(of).collect() };
+    let mut x: Vec<f64> = model.prior().iter().map(|[mean, _]| *mean).collect();
+    let mut prediction = Arc::new(forward.predict(&model.tables(&x)).unwrap());
+    for _ in 0..3 {
+        let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+        let fit = fitter.fit(Start::at(model.clone(), x), Stop::EXACT).unwrap();
+        (x, prediction) = (fit.x, fit.prediction);
+    }
+    let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+    let fit = fitter.fit(Start::at(model, x), Stop::EXACT).unwrap();
+    use_of(&fit, &fitter)
+}
+
+/// Damping ratio of a fit with `small_strain_damping` as its only effect.
+fn damping_ratio(fit: &Fit<'_>) -> f64 {
+    let declared = fit.model.declared;
+    let tolerance = declared.others.iter().position(|o| o.instance.kind == "small_strain_damping").unwrap();
+    let tolerated = declared.others[tolerance].coordinate(fit.x[declared.n_mode() + tolerance]);
+    DAMPING * (fit.x[fit.model.start(0)] + tolerated).exp()
+}
+
+fn straying(f: f64) -> f64 {
+    if f < 0.7 { 0.97 } else { (0.97 - 0.55 * (f / 0.7).ln() / (8.0f64 / 0.7).ln()).max(0.4) }
+}
+
+#[test]
+fn normal_equations_are_slopes_of_the_cost() {
+    let problem = problem(&Truth { soil: [197.0, 0.03], coherence: straying, ..Truth::default() });
+    fitted(&problem, &["small_strain_damping"], |fit, fitter| {
+        let model = fit.model.clone();
+        let n = model.len();
+        let x: Vec<f64> = fit.x.iter().zip(model.prior()).map(|(x, [_, sd])| x + 0.1 * sd).collect();
+        let at = fitter.point(&model, x).unwrap();
+        let g = normal(&fitter.slopes(&model, &at, &[]), &at.rows);
+        let mut stream = random::stream(3, "directions");
+        for _ in 0..5 {
+            let direction: Vec<f64> = (0..n).map(|_| stream.random::<f64>() - 0.5).collect();
+            let expected: f64 = -(0..n).map(|i| direction[i] * g[(i, n)]).sum::<f64>();
+            let size = (0..n).map(|i| (direction[i] * g[(i, n)]).powi(2)).sum::<f64>().sqrt();
+            let beside = |h: f64| {
+                let beside: Vec<f64> = at.x.iter().zip(&direction).map(|(x, d)| x + h * d).collect();
+                fitter.nll(&fitter.predict(&model, &beside).unwrap())
+            };
+            let found = (beside(1e-4) - beside(-1e-4)) / 2e-4;
+            assert!((found - expected).abs() < 0.1 * size, "{found} {expected} {size}");
+        }
+    });
+}
+
+#[test]
+fn slopes_of_the_equivalent_linear_column_are_those_of_replays() {
+    let problem = problem(&Truth { events: 2, ..Truth::default() });
+    let replay = Nonlinear(&problem);
+    let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+    let declared = Declared::new(&problem).unwrap();
+    let prediction = Arc::new(forward.predict(&[]).unwrap());
+    let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+    let all = effects::instances(&problem.array);
+    let kinds = ["small_strain_damping", "frequency_dependent_damping", "layer_velocity", "thin_seam"];
+    let of = |kind: &&str| all.iter().find(|i| i.kind == *kind).unwrap().clone();
+    let model = Model { declared: &declared, effects: kinds.iter().map(of).collect() };
+    // Beside nothing, where every one of them has a slope of its own.
+    let x = model.prior().iter().map(|[mean, sd]| mean + 0.1 * sd).collect();
+    let at = fitter.point(&model, x).unwrap();
+    let (near, replayed) = (fitter.slopes_near(&model, &at, &[]), fitter.slopes(&model, &at, &[]));
+    let mut told = 0;
+    for i in (0..model.len()).filter(|i| model.is_replayed(*i) && square(&replayed[*i]) > 1.0) {
+        let missed = (square(&combined(&near[i], &replayed[i], 1.0, -1.0)) / square(&replayed[i])).sqrt();
+        println!("{i}: {missed:.3} of {:.1}", square(&replayed[i]).sqrt());
+        assert!(missed < 0.1, "{i}: {missed}");
+        told += 1;
+    }
+    assert!(told > 5, "{told}");
+}
+
+#[test]
+fn slopes_along_principal_axes_are_those_of_coordinates() {
+    let problem = problem(&Truth { soil: [204.0, 0.022], ..Truth::default() });
+    fitted(&problem, &["small_strain_damping"], |fit, fitter| {
+        let model = &fit.model;
+        let at = fitter.point(model, fit.x.clone()).unwrap();
+        let by_coordinate = fitter.slopes(model, &at, &[]);
+        let axes = fitter.principal(model, &at, &by_coordinate).unwrap();
+        let slopes = fitter.slopes_along(model, &at, &axes, None).unwrap();
+        let along = &axes.along;
+        let size = |i: usize| square(&by_coordinate[i]).sqrt() * model.prior()[i][1];
+        let largest = (0..model.len()).map(size).fold(0.0, f64::max);
+        for (i, (a, b)) in slopes.iter().zip(&by_coordinate).enumerate() {
+            let missed = square(&combined(a, b, 1.0, -1.0)).sqrt() * model.prior()[i][1];
+            assert!(missed < 0.02 * largest + 0.1 * size(i), "{i}: {missed} of {} and {largest}", size(i));
+        }
+        // What a displacement does is what the slopes say of it, however little that is.
+        for k in 0..along.ncols() {
+            let beside = (0..model.len()).map(|i| at.x[i] + along[(i, k)]).collect();
+            let found = combined(&fitter.point(model, beside).unwrap().rows, &at.rows, 1.0, -1.0);
+            let nothing = combined(&found, &found, 0.0, 0.0);
+            let said = (0..model.len()).fold(nothing, |sum, i| combined(&sum, &slopes[i], 1.0, along[(i, k)]));
+            let missed = square(&combined(&found, &said, 1.0, -1.0)).sqrt();
+            assert!(missed < 1e-6 * square(&found).sqrt() + 1e-9, "{k}: {missed}");
+        }
+    });
+}
+
+#[test]
+fn steps_end_at_bounds_where_the_others_give_way() {
+    let problem = problem(&Truth::default());
+    let declared = Declared::new(&problem).unwrap();
+    let model = Model { declared: &declared, effects: Vec::new() };
+    let n = model.len();
+    let bounds = model.bounds();
+    let mut stream = random::stream(7, "directions");
+    let mut at_bounds = 0;
+    for _ in 0..20 {
+        let slopes = Mat::from_fn(2 * n, n + 1, |_, _| 4.0 * (stream.random::<f64>() - 0.5));
+        let g = slopes.transpose() * &slopes * 10.0;
+        let x: Vec<f64> = bounds.iter().map(|[low, high]| low + (high - low) * stream.random::<f64>()).collect();
+        let (to, gain) = step(&model, &x, &g, f64::INFINITY);
+        assert!(gain >= 0.0);
+        let a = information(&model, &g);
+        for (i, [low, high]) in bounds.iter().copied().enumerate() {
+            assert!((low..=high).contains(&to[i]));
+            // Slope of the cost there: nothing inside, and downhill beyond a bound.
+            let slope = (0..n).map(|j| a[(i, j)] * (to[j] - x[j])).sum::<f64>() - (g[(i, n)] - x[i]);
+            if to[i] == low || to[i] == high {
+                at_bounds += 1;
+            } else {
+                assert!(slope.abs() < 1e-6 * a[(i, i)], "{i}: {slope}");
+            }
+        }
+    }
+    assert!(at_bounds > 5, "{at_bounds}");
+}
+
+#[test]
+fn data_do_not_tell_an_effect_from_a_tolerance_that_does_the_same() {
+    let problem = problem(&Truth { soil: [200.0, 1.5 * DAMPING], ..Truth::default() });
+    fitted(&problem, &["small_strain_damping"], |fit, fitter| {
+        let start = fit.model.start(0);
+        assert_eq!(fit.model.same(&fit.x).len(), 1);
+        let at = fitter.point(&fit.model, fit.x.clone()).unwrap();
+        let own = fitter.slope(&fit.model, &at, start).unwrap();
+        let missed = square(&combined(&own, &fit.slopes[start], 1.0, -1.0)).sqrt() / square(&own).sqrt();
+        assert!(missed < 0.05, "{missed}");
+        // What is known of the two is known of their product alone: the interval is that of the tolerance.
+        let deviation = fit.covariance().unwrap()[(start, start)].sqrt();
+        assert!(deviation > 0.8 * problem.tolerances.damping_ln, "{deviation}");
+    });
+}
+
+#[test]
+fn damping_of_a_partly_coherent_field_is_found() {
+    // Least squares that take the field for coherent would find three times the damping of what does not follow the base.
+    for seed in [5, 6, 7, 8] {
+        let problem = problem(&Truth { soil: [200.0, 0.05], coherence: straying, seed, ..Truth::default() });
+        fitted(&problem, &["small_strain_damping"], |fit, fitter| {
+            let found = damping_ratio(fit);
+            println!("seed {seed}: damping ratio {found:.4}, 0.0500 holds");
+            assert!((found / 0.05 - 1.0).abs() < 0.1, "seed {seed}: {found}");
+            for [f, c] in fitter.spread().at_knots(1, band_hz(fitter.forward)) {
+                println!("  {f:.2} Hz: {c:.3} {:.3}", straying(f));
+                assert!((c - straying(f)).abs() < 0.1, "seed {seed}, {f} Hz: {c} {}", straying(f));
+            }
+        });
+    }
+}
+
+#[test]
+fn a_coherent_field_is_found_coherent_and_leaving_events_out_moves_little() {
+    let problem = problem(&Truth { soil: [204.0, 0.025], ..Truth::default() });
+    fitted(&problem, &[], |fit, fitter| {
+        let spread = fitter.spread();
+        assert!(spread.coherence.iter().flatten().all(|c| *c > 0.99), "{:?}", spread.coherence);
+        assert!(spread.level < 1.2, "{}", spread.level);
+        let covariance = fit.covariance().unwrap();
+        let groups: Vec<usize> = fitter.forward.records.iter().map(|at| at.group).collect();
+        for x in fit.without_each_event(&groups) {
+            for (i, (a, b)) in x.iter().zip(&fit.x).enumerate() {
+                assert!((a - b).abs() < 4.0 * covariance[(i, i)].sqrt() + 0.05, "{i}: {a} {b}");
+            }
+        }
+    });
+}
+
+#[test]
+fn evidence_at_an_end_of_a_range_is_that_of_quadrature() {
+    let problem = problem(&Truth { table: "kind = 'frequency_dependent_damping'\nbeta_s = 0.0", ..Truth::default() });
+    let declared = Declared::new(&problem).unwrap();
+    let all = effects::instances(&problem.array);
+    let effect = all.iter().find(|i| i.free.len() == 1 && i.free[0].parameter.name == "beta_s").unwrap().clone();
+    let model = Model { declared: &declared, effects: vec![effect] };
+    let (n, at) = (model.len(), model.start(0));
+    let (prior, [low, high]) = (model.prior()[at], model.bounds()[at]);
+    // One strength alone is told of: the density is exp(−½ a (x − u)²), its top below, at and above what is allowed.
+    let precision = 9.0 / prior[1].powi(2);
+    for top in [-4.0, -1.5, -0.3, 0.0, 0.7, 2.0].map(|d| low + d * prior[1]) {
+        let mut x: Vec<f64> = model.prior().iter().map(|[mean, _]| *mean).collect();
+        let unbounded = precision * top / (precision + prior[1].powi(-2));
+        x[at] = unbounded.clamp(low, high);
+        let mut g = Mat::zeros(n + 1, n + 1);
+        g[(at, at)] = precision;
+        g[(at, n)] = -precision * (x[at] - top);
+        let cost = 0.5 * precision * (x[at] - top).powi(2) + Fitter::prior(&model, &x);
+        let found = occam(&model, &x, &g) - cost;
+        let count = 200_000;
+        let step = (high - low).min(12.0 * prior[1]) / f64::from(count);
+        let (mut of_prior, mut of_posterior) = (0.0, 0.0);
+        for x in (0..count).map(|k| low + (f64::from(k) + 0.5) * step) {
+            let density = (-0.5 * ((x - prior[0]) / prior[1]).powi(2)).exp();
+            of_prior += density;
+            of_posterior += density * (-0.5 * precision * (x - top).powi(2)).exp();
+        }
+        let expected = (of_posterior / of_prior).ln();
+        assert!((found - expected).abs() < 0.02, "{top}: {found} {expected}");
+    }
+}
