@@ -14,7 +14,7 @@ use crate::error::Result;
 use crate::metrics::{normal_probability, scaled_tail};
 use faer::Mat;
 use rayon::prelude::*;
-use search::TRUSTED;
+use search::is_borne_out;
 pub use search::{Replays, Stop};
 use slopes::Axes;
 use std::collections::HashMap;
@@ -22,6 +22,7 @@ use std::sync::{Arc, Mutex};
 
 /// Highest frequency of the first of a series of fits, in fundamental frequencies of the column.
 const FIRST_MODES: f64 = 1.5;
+
 /// A model at its most probable coordinates.
 #[derive(Clone)]
 pub struct Fit<'a> {
@@ -117,12 +118,11 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed.
     pub fn predict(&self, model: &Model<'a>, x: &[f64]) -> Result<Arc<Prediction>> {
-        let tables = model.tables(x);
         let prediction = match &self.surrogate {
-            Some(near) => self.forward.recorded(&tables, &near.motions(&tables)?)?,
-            None => self.forward.predict(&tables)?,
+            Some(near) => self.predict_by(near, model, x)?,
+            None => Self::with_conventions(self.forward.predict(&model.tables(x))?, model, x),
         };
-        Ok(Arc::new(Self::with_conventions(prediction, model, x)))
+        Ok(Arc::new(prediction))
     }
 
     /// A prediction of the column alone with what the conventions of `model` at `x` add to it.
@@ -221,13 +221,13 @@ impl<'a> Fitter<'a> {
             return None;
         }
         let found = by.fit(Start::at(model.clone(), x.clone()), Stop::ON_THE_WAY).ok()?;
-        let foretold = by.cost(model, &at) - found.cost;
+        let cost = by.cost(model, &at);
+        let foretold = cost - found.cost;
         if foretold < Stop::ON_THE_WAY.gain {
             return Some(Start::at(model.clone(), x.clone()));
         }
-        let gained = by.cost(model, &at) - self.cost_at(model, found.x.clone()).ok()?;
-        let is_borne_out = (TRUSTED[0]..TRUSTED[1]).contains(&(gained / foretold));
-        is_borne_out.then(|| Start::at(model.clone(), found.x))
+        let gained = cost - self.cost_at(model, found.x.clone()).ok()?;
+        is_borne_out(gained, foretold).then(|| Start::at(model.clone(), found.x))
     }
 
     /// One for which residuals up to the lowest mode of the column count alone.

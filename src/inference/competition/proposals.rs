@@ -28,7 +28,6 @@ const STRONGER_TIMES: usize = 2;
 const LINE_STEPS: i32 = 4;
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
-
 /// Share of what candidates do that has to be along what the equivalent-linear column has them do.
 const BORNE_OUT: f64 = 0.5;
 
@@ -176,6 +175,7 @@ impl<'a> Competition<'a> {
         all.retain(|d| !again.iter().any(|n| n.node.instance == d.node.instance));
         all.extend(again);
         if !is_far {
+            // By that column: so slight a change is lost among what a replay does by chance.
             let slight = Self::nodes(&smooth, SLIGHT, false);
             let slight = on_threads(slight.len(), |i| Self::direction(near.as_ref(), by, base, slight[i].clone()));
             all.extend(slight.into_iter().flatten());

@@ -21,7 +21,7 @@ const RENEWALS: usize = 4;
 /// Share of the expected gain that a step must bring to be taken.
 const TAKEN: f64 = 0.02;
 /// Shares of the expected gain between which a step bears out the slopes that foretold it.
-pub(super) const TRUSTED: [f64; 2] = [0.3, 2.0];
+const TRUSTED: [f64; 2] = [0.3, 2.0];
 /// Prior standard deviations by which any coordinate moves at most in the first step, in any, and below which a fit ends.
 const RADIUS: [f64; 3] = [1.0, 4.0, 0.002];
 /// Radius after a step that did something else than foretold, over that before.
@@ -72,6 +72,11 @@ enum Origin {
     Equivalent,
     /// From replays there.
     Replayed,
+}
+
+/// Whether what was `gained` bears out what slopes `foretold`.
+pub(super) fn is_borne_out(gained: f64, foretold: f64) -> bool {
+    (TRUSTED[0]..TRUSTED[1]).contains(&(gained / foretold))
 }
 
 /// A search on its way.
@@ -150,9 +155,9 @@ impl<'a> Fitter<'a> {
         let found = self.point(&search.model, to).ok();
         let gained = found.as_ref().map_or(f64::NEG_INFINITY, |found| cost - self.cost(&search.model, found));
         let ratio = gained / expected;
-        let is_borne_out = (TRUSTED[0]..TRUSTED[1]).contains(&ratio) || (gained - expected).abs() < stop.gain;
+        let is_expected = is_borne_out(gained, expected) || (gained - expected).abs() < stop.gain;
         let best = if stop.replays == Replays::Nowhere { Origin::Equivalent } else { Origin::Replayed };
-        let is_doubtful = search.origin < best && !is_borne_out;
+        let is_doubtful = search.origin < best && !is_expected;
         search.doubts = if is_doubtful { search.doubts + 1 } else { 0 };
         // Slopes are blamed, and not the length of the step, if better ones can be had.
         let is_at_fault = search.doubts > usize::from(!is_exact);

@@ -6,6 +6,7 @@ use crate::effects::Instance;
 use crate::error::Result;
 use crate::inference::algebra::inverse;
 use crate::inference::equivalent::Neighbourhood;
+use crate::inference::forward::Prediction;
 use crate::inference::parameters::{Model, is_replayed};
 use crate::inference::weights::Rows;
 use crate::numerics::threads::on_threads;
@@ -54,11 +55,16 @@ impl<'a> Fitter<'a> {
         is_replayed(effect, &self.forward.problem.array.input)
     }
 
-    /// Residuals at `x` by what is `near`.
-    fn rows_by(&self, near: &Neighbourhood<'_, 'a>, model: &Model<'a>, x: &[f64]) -> Result<Arc<Rows>> {
+    /// What a model predicts by what is `near`.
+    pub(super) fn predict_by(&self, near: &Neighbourhood<'_, 'a>, model: &Model<'a>, x: &[f64]) -> Result<Prediction> {
         let tables = model.tables(x);
         let prediction = self.forward.recorded(&tables, &near.motions(&tables)?)?;
-        Ok(self.rows(&Self::with_conventions(prediction, model, x)).0)
+        Ok(Self::with_conventions(prediction, model, x))
+    }
+
+    /// Residuals at `x` by what is `near`.
+    fn rows_by(&self, near: &Neighbourhood<'_, 'a>, model: &Model<'a>, x: &[f64]) -> Result<Arc<Rows>> {
+        Ok(self.rows(&self.predict_by(near, model, x)?).0)
     }
 
     /// How residuals change with coordinate `i` by a replay; `None` where the column does not finish beside it.
