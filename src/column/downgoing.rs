@@ -2,14 +2,16 @@
 //! the column.
 
 use super::mesh::{Element, Mesh};
+use crate::numerics::grid::Grid;
 use crate::numerics::spectrum;
+use crate::soil::bodies;
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
 
 type C64 = Complex<f64>;
 
-/// Frequencies to the fundamental one, and the highest, Hz, at which the motion of the base is computed; linear between, constant above.
-const A_MODE: f64 = 50.0;
+/// Frequencies to the fundamental one, and the highest, Hz, at which waves at the base are computed; smooth between, constant above.
+const A_MODE: f64 = 8.0;
 const HIGHEST_HZ: f64 = 50.0;
 
 /// The motion of the base over what is recorded there.
@@ -29,25 +31,32 @@ const HIGHEST_HZ: f64 = 50.0;
 /// Tao and Rathje (2019) for columns that interfere more than the records of vertical arrays do.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Downgoing {
-    step_hz: f64,
-    base: Vec<C64>,
+    corner_hz: f64,
+    grid: Grid,
+    /// u and w on the grid: smooth functions of frequency, for resonances appear in (1) only.
+    waves: Vec<[C64; 2]>,
 }
 
 impl Downgoing {
     /// That of a mesh for the coherence with the corner `corner_hz`.
     pub(super) fn new(mesh: &Mesh, corner_hz: f64) -> Self {
-        let step_hz = mesh.frequency_hz / A_MODE;
-        let count = (HIGHEST_HZ / step_hz).ceil().max(1.0) as usize + 1;
+        let grid = Grid::around(0.0, HIGHEST_HZ, mesh.frequency_hz / A_MODE);
         let slabs = slabs(mesh);
-        let base = (0..count).map(|k| base(&slabs, k as f64 * step_hz, corner_hz)).collect();
-        Self { step_hz, base }
+        let waves = (0..grid.count).map(|k| waves(&slabs, grid.frequency(k))).collect();
+        Self { corner_hz, grid, waves }
     }
 
-    /// u/U at `frequency_hz`.
+    /// u/U of (1) at `frequency_hz`.
     pub fn at(&self, frequency_hz: f64) -> C64 {
-        let x = (frequency_hz / self.step_hz).clamp(0.0, (self.base.len() - 1) as f64);
-        let i = (x.floor() as usize).min(self.base.len() - 2);
-        self.base[i] + (self.base[i + 1] - self.base[i]) * (x - i as f64)
+        let frequency_hz = frequency_hz.min(HIGHEST_HZ);
+        let (first, weights) = self.grid.cubic(frequency_hz);
+        let at = |i: usize| (0..4).map(|k| self.waves[first + k][i] * weights[k]).sum::<C64>();
+        let (u, w) = (at(0), at(1));
+        let coherence = 1.0 / (1.0 + (frequency_hz / self.corner_hz).powi(2));
+        let [alike, apart] = [0.5 * (1.0 + coherence), 0.5 * (1.0 - coherence)];
+        let power = alike * u.norm_sqr() + apart * w.norm_sqr();
+        let coherent = u * alike + w * apart;
+        u * coherent.conj() / (power * coherent.norm_sqr()).sqrt()
     }
 
     /// The acceleration of the base, in the unit of that which was `recorded` there every `dt_s`.
@@ -90,29 +99,24 @@ fn slabs(mesh: &Mesh) -> Vec<Slab<'_>> {
     slabs
 }
 
-/// u/U of (1) at one frequency.
-fn base(slabs: &[Slab<'_>], frequency_hz: f64, corner_hz: f64) -> C64 {
+/// u and w of (1) at one frequency.
+fn waves(slabs: &[Slab<'_>], frequency_hz: f64) -> [C64; 2] {
     let one = C64::new(1.0, 0.0);
-    if frequency_hz == 0.0 {
-        return one;
-    }
     let omega = TAU * frequency_hz;
+    let springs = bodies(frequency_hz);
     // Displacement, and stress over ω: both real where nothing is lost.
     let (mut u, mut tau, mut impedance) = (one, C64::new(0.0, 0.0), one);
     for Slab { element, density_kg_m3, count } in slabs {
-        let [re, im] = element.relaxation.map_or([1.0, 0.0], |r| r.modulus(frequency_hz));
+        let [re, im] = element.relaxation.map_or([1.0, 0.0], |r| r.modulus_by(&springs));
         let soil_pa = C64::new(re, im + omega * element.beta_s) * element.elastic_pa[0];
         let modulus_pa = soil_pa + element.container_pa;
         impedance = (modulus_pa * *density_kg_m3).sqrt();
         let phase = modulus_pa.inv() * impedance * (omega * element.height_m * *count as f64);
-        let (sin, cos) = (phase.sin(), phase.cos());
+        let up = (phase * C64::i()).exp();
+        let down = up.inv();
+        let (sin, cos) = ((up - down) * C64::new(0.0, -0.5), (up + down) * 0.5);
         // τ = G ∂u/∂z, z down.
         (u, tau) = (u * cos + tau * sin / impedance, tau * cos - u * sin * impedance);
     }
-    let w = tau / (impedance * C64::i());
-    let coherence = 1.0 / (1.0 + (frequency_hz / corner_hz).powi(2));
-    let [alike, apart] = [0.5 * (1.0 + coherence), 0.5 * (1.0 - coherence)];
-    let power = alike * u.norm_sqr() + apart * w.norm_sqr();
-    let coherent = u * alike + w * apart;
-    u / C64::from_polar(power.sqrt(), coherent.arg()) // (1)
+    [u, tau / (impedance * C64::i())]
 }

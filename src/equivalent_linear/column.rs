@@ -5,6 +5,7 @@ use super::surroundings::Surroundings;
 use super::tuning::Tuning;
 use crate::column::{Analysis, Column, Downgoing, Features, Profile, Slice, Structure};
 use crate::error::Result;
+use crate::numerics::grid::Grid;
 use crate::soil::{N_BODY, Point, Rate, Relaxation, Softening, bodies};
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
@@ -242,40 +243,6 @@ impl EquivalentColumn {
     /// Frequency step that resolves what is marched, Hz.
     pub fn grid_step_hz(&self) -> f64 {
         (0.03 / self.travel_s).min(0.125)
-    }
-}
-
-/// Equidistant frequencies.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Grid {
-    /// First frequency, Hz.
-    pub first_hz: f64,
-    /// Step, Hz.
-    pub step_hz: f64,
-    /// How many.
-    pub count: usize,
-}
-
-impl Grid {
-    /// A grid that reaches a step and a half beyond `low_hz…high_hz`.
-    pub fn around(low_hz: f64, high_hz: f64, step_hz: f64) -> Self {
-        let first_hz = (low_hz - 1.5 * step_hz).max(0.02);
-        let count = ((high_hz + 1.5 * step_hz - first_hz) / step_hz).ceil() as usize + 2;
-        Self { first_hz, step_hz, count: count.max(4) }
-    }
-
-    /// Frequency of node `k`, Hz.
-    pub fn frequency(&self, k: usize) -> f64 {
-        self.first_hz + k as f64 * self.step_hz
-    }
-
-    /// First of four nodes around `frequency_hz` and Lagrange's weights.
-    pub fn cubic(&self, frequency_hz: f64) -> (usize, [f64; 4]) {
-        let x = (frequency_hz - self.first_hz) / self.step_hz;
-        let i = (x.floor() as isize - 1).clamp(0, self.count as isize - 4) as usize;
-        let t = x - i as f64;
-        let [a, b, c, d] = [t, t - 1.0, t - 2.0, t - 3.0];
-        (i, [-b * c * d / 6.0, a * c * d / 2.0, -a * b * d / 2.0, a * b * c / 6.0])
     }
 }
 

@@ -1,7 +1,8 @@
 //! Strains of an equivalent-linear column that its moduli and damping are those of.
 
-use super::column::{EquivalentColumn, Grid};
+use super::column::EquivalentColumn;
 use super::tuning::{Tuning, least};
+use crate::numerics::grid::Grid;
 use realfft::num_complex::Complex;
 use std::f64::consts::{SQRT_2, TAU};
 

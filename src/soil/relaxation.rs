@@ -95,8 +95,13 @@ impl Relaxation {
 
     /// K of (1) at `frequency_hz`: real and imaginary part.
     pub fn modulus(&self, frequency_hz: f64) -> [f64; 2] {
-        let sum = |[re, im]: [f64; 2], (w, b): (&f64, [f64; 2])| [re + w * b[0], im + w * b[1]];
-        self.weights.iter().zip(bodies(frequency_hz)).fold([self.rest, 0.0], sum)
+        self.modulus_by(&bodies(frequency_hz))
+    }
+
+    /// The same from the `springs` at a frequency.
+    pub fn modulus_by(&self, springs: &[[f64; 2]; N_BODY]) -> [f64; 2] {
+        let sum = |[re, im]: [f64; 2], (w, b): (&f64, &[f64; 2])| [re + w * b[0], im + w * b[1]];
+        self.weights.iter().zip(springs).fold([self.rest, 0.0], sum)
     }
 }
 

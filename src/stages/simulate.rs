@@ -35,7 +35,7 @@ impl Stage for Simulate {
     }
 
     fn version(&self) -> u32 {
-        5
+        6
     }
 
     fn reads(&self) -> &'static [&'static str] {
