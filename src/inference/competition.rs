@@ -301,9 +301,12 @@ impl<'a> Competition<'a> {
         for heat in finals {
             let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
             // Slopes where the heat began lead on from where it ended, unless that is far.
-            let near = base.slopes.iter().cloned().map(Some).collect();
-            let slopes = if Self::is_near(&base, &heat) { near } else { Vec::new() };
-            self.finish(Start { slopes, ..Start::at(model, heat.x) }, progress);
+            let mut start = Start::at(model, heat.x.clone());
+            if Self::is_near(&base, &heat) {
+                start.slopes = base.slopes.iter().cloned().map(Some).collect();
+                start.was_replayed = base.was_replayed;
+            }
+            self.finish(start, progress);
         }
         self.move_places(progress);
         Ok(())
@@ -346,7 +349,7 @@ impl<'a> Competition<'a> {
             let mut x = base.x.clone();
             x.resize(model.len(), 0.0);
             let slopes = base.slopes.iter().cloned().map(Some).collect();
-            by.fit(Start { slopes, ..Start::at(model, x) }, HEAT).ok()
+            by.fit(Start { slopes, was_replayed: base.was_replayed, ..Start::at(model, x) }, HEAT).ok()
         };
         let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.log_posterior(a).total_cmp(&self.log_posterior(b)))
@@ -392,7 +395,8 @@ impl<'a> Competition<'a> {
                 });
                 let Some((_, model, x)) = moved.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
                 let slopes = best.slopes[..best.model.declared.len()].iter().cloned().map(Some).collect();
-                if let Ok(heat) = self.fitter.fit(Start { slopes, ..Start::at(model, x) }, HEAT) {
+                let start = Start { slopes, was_replayed: best.was_replayed, ..Start::at(model, x) };
+                if let Ok(heat) = self.fitter.fit(start, HEAT) {
                     self.finish(Start::from(heat), progress);
                 }
             }
@@ -431,7 +435,7 @@ impl<'a> Competition<'a> {
             slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
-        Start { slopes, ..Start::at(model, x) }
+        Start { slopes, was_replayed: best.was_replayed, ..Start::at(model, x) }
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.

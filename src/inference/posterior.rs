@@ -42,6 +42,8 @@ pub struct Fit<'a> {
     pub g: Mat<f64>,
     /// Along which axes the slopes were taken here; none where they were carried here.
     pub axes: Option<Axes>,
+    /// Whether they were replayed, here or where they were carried from.
+    pub was_replayed: bool,
 }
 
 /// What fits models.
@@ -68,23 +70,25 @@ pub struct Start<'a> {
     pub slopes: Vec<Option<Arc<Rows>>>,
     /// Axes along which slopes at `x` are to be taken.
     pub axes: Option<Axes>,
+    /// Whether known slopes were replayed.
+    pub was_replayed: bool,
 }
 
 impl<'a> Start<'a> {
     /// From `x`.
     pub fn at(model: Model<'a>, x: Vec<f64>) -> Self {
-        Self { model, x, slopes: Vec::new(), axes: None }
+        Self { model, x, slopes: Vec::new(), axes: None, was_replayed: false }
     }
 
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
-        let Fit { model, x, slopes, axes, .. } = found;
-        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes }
+        let Fit { model, x, slopes, axes, was_replayed, .. } = found;
+        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes, was_replayed }
     }
 
     /// From the fit `found`, its slopes taken anew by other weights.
     pub fn weighed_anew(found: Fit<'a>) -> Self {
-        Self { slopes: Vec::new(), ..Self::from(found) }
+        Self { slopes: Vec::new(), was_replayed: false, ..Self::from(found) }
     }
 }
 

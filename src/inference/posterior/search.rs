@@ -89,7 +89,7 @@ struct Search<'a> {
     axes: Option<Axes>,
     /// Whether slopes were taken where it is, and what they say of the evidence stood still.
     is_fresh: bool,
-    /// Whether slopes were replayed anywhere.
+    /// Whether slopes were replayed, here or where they were carried from.
     was_replayed: bool,
     /// Times that slopes were taken anew where it is.
     renewals: usize,
@@ -113,13 +113,13 @@ impl<'a> Fitter<'a> {
         }
         let g = self.normal(&search.slopes, &search.at.rows);
         let cost = self.cost(&search.model, &search.at);
-        let Search { model, at, slopes, axes, is_fresh, .. } = search;
+        let Search { model, at, slopes, axes, is_fresh, was_replayed, .. } = search;
         let Point { x, prediction, rows, .. } = at;
-        Ok(Fit { model, x, prediction, rows, cost, slopes, g, axes: axes.filter(|_| is_fresh) })
+        Ok(Fit { model, x, prediction, rows, cost, slopes, g, axes: axes.filter(|_| is_fresh), was_replayed })
     }
 
     fn begun(&self, start: Start<'a>) -> Result<Search<'a>> {
-        let Start { model, x, slopes: known, axes } = start;
+        let Start { model, x, slopes: known, axes, was_replayed } = start;
         let at = self.point(&model, x)?;
         let own = axes.as_ref().filter(|_| known.is_empty());
         let taken = own.and_then(|axes| self.slopes_along(&model, &at, axes, None));
@@ -130,7 +130,8 @@ impl<'a> Fitter<'a> {
         };
         let slopes = taken.unwrap_or_else(|| self.slopes_near(&model, &at, &known));
         let is_fresh = axes.is_some();
-        let (was_replayed, renewals, doubts, radius) = (false, 0, 0, RADIUS[0]);
+        let was_replayed = was_replayed || origin == Origin::Replayed;
+        let (renewals, doubts, radius) = (0, 0, RADIUS[0]);
         Ok(Search { model, at, slopes, origin, axes, is_fresh, was_replayed, renewals, doubts, radius })
     }
 
@@ -182,6 +183,7 @@ impl<'a> Fitter<'a> {
             let near = self.slopes_near(&search.model, &search.at, &[]);
             if square(&Self::missed(&near, [&from, found])) < square(missed) {
                 (search.slopes, search.origin, search.radius) = (near, Origin::Equivalent, kept);
+                search.was_replayed = false;
                 return false;
             }
         }
