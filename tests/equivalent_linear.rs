@@ -2,8 +2,9 @@
 
 use flare_pipe::column::{Analysis, BaseMotion, Column, Features, Layer, Profile, Rayleigh, Vertical};
 use flare_pipe::dataset::sensor_histories;
-use flare_pipe::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Grid, Tuning};
+use flare_pipe::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Tuning};
 use flare_pipe::motion::{self, Band, MotionSettings};
+use flare_pipe::numerics::grid::Grid;
 use flare_pipe::numerics::resample::resample_band_limited;
 use flare_pipe::soil::Relaxation;
 use realfft::RealFftPlanner;
