@@ -10,7 +10,7 @@ use std::f64::consts::TAU;
 
 type C64 = Complex<f64>;
 
-/// Frequencies to the fundamental one, and the highest, Hz, at which waves at the base are computed; smooth between, constant above.
+/// Frequencies to the fundamental one, and the highest, Hz, at which waves at the base are computed; cubic between, constant above.
 const A_MODE: f64 = 8.0;
 const HIGHEST_HZ: f64 = 50.0;
 
@@ -34,7 +34,7 @@ pub struct Downgoing {
     corner_hz: f64,
     grid: Grid,
     /// u and w on the grid: smooth functions of frequency, for resonances appear in (1) only.
-    waves: Vec<[C64; 2]>,
+    waves: [Vec<C64>; 2],
 }
 
 impl Downgoing {
@@ -42,16 +42,15 @@ impl Downgoing {
     pub(super) fn new(mesh: &Mesh, corner_hz: f64) -> Self {
         let grid = Grid::around(0.0, HIGHEST_HZ, mesh.frequency_hz / A_MODE);
         let slabs = slabs(mesh);
-        let waves = (0..grid.count).map(|k| waves(&slabs, grid.frequency(k))).collect();
-        Self { corner_hz, grid, waves }
+        let waves: (Vec<C64>, Vec<C64>) = (0..grid.count).map(|k| waves(&slabs, grid.frequency(k))).unzip();
+        Self { corner_hz, grid, waves: waves.into() }
     }
 
     /// u/U of (1) at `frequency_hz`.
     pub fn at(&self, frequency_hz: f64) -> C64 {
         let frequency_hz = frequency_hz.min(HIGHEST_HZ);
-        let (first, weights) = self.grid.cubic(frequency_hz);
-        let at = |i: usize| (0..4).map(|k| self.waves[first + k][i] * weights[k]).sum::<C64>();
-        let (u, w) = (at(0), at(1));
+        let at = self.grid.cubic(frequency_hz);
+        let [u, w] = [0, 1].map(|i| at.of(&self.waves[i]));
         let coherence = 1.0 / (1.0 + (frequency_hz / self.corner_hz).powi(2));
         let [alike, apart] = [0.5 * (1.0 + coherence), 0.5 * (1.0 - coherence)];
         let power = alike * u.norm_sqr() + apart * w.norm_sqr();
@@ -100,7 +99,7 @@ fn slabs(mesh: &Mesh) -> Vec<Slab<'_>> {
 }
 
 /// u and w of (1) at one frequency.
-fn waves(slabs: &[Slab<'_>], frequency_hz: f64) -> [C64; 2] {
+fn waves(slabs: &[Slab<'_>], frequency_hz: f64) -> (C64, C64) {
     let one = C64::new(1.0, 0.0);
     let omega = TAU * frequency_hz;
     let springs = bodies(frequency_hz);
@@ -118,5 +117,5 @@ fn waves(slabs: &[Slab<'_>], frequency_hz: f64) -> [C64; 2] {
         // τ = G ∂u/∂z, z down.
         (u, tau) = (u * cos + tau * sin / impedance, tau * cos - u * sin * impedance);
     }
-    [u, tau / (impedance * C64::i())]
+    (u, tau / (impedance * C64::i()))
 }

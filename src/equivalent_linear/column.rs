@@ -5,7 +5,7 @@ use super::surroundings::Surroundings;
 use super::tuning::Tuning;
 use crate::column::{Analysis, Column, Downgoing, Features, Profile, Slice, Structure};
 use crate::error::Result;
-use crate::numerics::grid::Grid;
+use crate::numerics::grid::{Cubic, Grid};
 use crate::soil::{N_BODY, Point, Rate, Relaxation, Softening, bodies};
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
@@ -396,13 +396,11 @@ pub struct March {
 }
 
 impl March {
-    /// (a/u_g, weights) of (3) at `frequency_hz`.
-    fn amplitude(&self, frequency_hz: f64) -> (C64, usize, [f64; 4]) {
-        let (i, weights) = self.grid.cubic(frequency_hz);
-        let at = |v: &[C64]| (0..4).map(|k| v[i + k] * weights[k]).sum::<C64>();
-        let particular = if self.is_damped { at(&self.base[1]) } else { C64::default() };
+    /// a/u_g of (3) at a frequency.
+    fn amplitude(&self, at: &Cubic) -> C64 {
+        let particular = if self.is_damped { at.of(&self.base[1]) } else { C64::default() };
         let wanted = if self.is_compliant { C64::default() } else { C64::new(1.0, 0.0) };
-        ((wanted - particular) / at(&self.base[0]), i, weights)
+        (wanted - particular) / at.of(&self.base[0])
     }
 
     /// Motion of the base over that which is recorded there.
@@ -412,13 +410,12 @@ impl March {
 
     /// Total motion of every sensor over the recorded base motion at `frequency_hz`, written to `out`.
     pub fn response(&self, frequency_hz: f64, out: &mut [C64]) {
-        let (a, i, weights) = self.amplitude(frequency_hz);
-        let base = self.base(frequency_hz);
+        let at = self.grid.cubic(frequency_hz);
+        let (a, base) = (self.amplitude(&at), self.base(frequency_hz));
         for (out, [h, p]) in out.iter_mut().zip(&self.sensors) {
-            let at = |v: &[C64]| (0..4).map(|k| v[i + k] * weights[k]).sum::<C64>();
-            *out = a * at(h);
+            *out = a * at.of(h);
             if self.is_damped {
-                *out += at(p);
+                *out += at.of(p);
             }
             *out *= base;
         }
@@ -429,7 +426,7 @@ impl March {
         let n = self.grid.count;
         let mut weights = vec![[0.0; 4]; n];
         for (f, u) in frequencies_hz.iter().zip(u) {
-            let a = self.amplitude(*f).0;
+            let a = self.amplitude(&self.grid.cubic(*f));
             let power = (u * self.base(*f)).norm_sqr();
             let x = ((f - self.grid.first_hz) / self.grid.step_hz).clamp(0.0, n as f64 - 1.001);
             let (i, share) = (x.floor() as usize, x - x.floor());
