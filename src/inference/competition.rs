@@ -301,12 +301,10 @@ impl<'a> Competition<'a> {
         for heat in finals {
             let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
             // Slopes where the heat began lead on from where it ended, unless that is far.
-            let mut start = Start::at(model, heat.x.clone());
-            if Self::is_near(&base, &heat) {
-                start.slopes = base.slopes.iter().cloned().map(Some).collect();
-                start.was_replayed = base.was_replayed;
-            }
-            self.finish(start, progress);
+            let is_near = Self::is_near(&base, &heat);
+            let start = Start::at(model, heat.x);
+            let slopes = base.slopes.iter().cloned().map(Some);
+            self.finish(if is_near { start.carrying(slopes, &base) } else { start }, progress);
         }
         self.move_places(progress);
         Ok(())
@@ -348,8 +346,7 @@ impl<'a> Competition<'a> {
             let model = Model { declared: base.model.declared, effects };
             let mut x = base.x.clone();
             x.resize(model.len(), 0.0);
-            let slopes = base.slopes.iter().cloned().map(Some).collect();
-            by.fit(Start { slopes, was_replayed: base.was_replayed, ..Start::at(model, x) }, HEAT).ok()
+            by.fit(Start::at(model, x).carrying(base.slopes.iter().cloned().map(Some), base), HEAT).ok()
         };
         let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.log_posterior(a).total_cmp(&self.log_posterior(b)))
@@ -394,9 +391,8 @@ impl<'a> Competition<'a> {
                     Some((by.nll(&prediction), model, x))
                 });
                 let Some((_, model, x)) = moved.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
-                let slopes = best.slopes[..best.model.declared.len()].iter().cloned().map(Some).collect();
-                let start = Start { slopes, was_replayed: best.was_replayed, ..Start::at(model, x) };
-                if let Ok(heat) = self.fitter.fit(start, HEAT) {
+                let slopes = best.slopes[..best.model.declared.len()].iter().cloned().map(Some);
+                if let Ok(heat) = self.fitter.fit(Start::at(model, x).carrying(slopes, &best), HEAT) {
                     self.finish(Start::from(heat), progress);
                 }
             }
@@ -435,7 +431,7 @@ impl<'a> Competition<'a> {
             slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
-        Start { slopes, was_replayed: best.was_replayed, ..Start::at(model, x) }
+        Start::at(model, x).carrying(slopes, best)
     }
 
     /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.

@@ -47,9 +47,8 @@ impl<'a> Few<'a> {
     /// When the column cannot be replayed.
     pub fn of(&self, by: &Fitter<'a>, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let model = Model { declared: self.declared, effects: fit.model.effects.clone() };
-        let slopes = fit.slopes.iter().map(|s| Some(Arc::new(self.forward.rows_of(s)))).collect();
-        let was_replayed = fit.was_replayed;
-        by.fit(Start { slopes, was_replayed, ..Start::at(model, fit.x.clone()) }, Stop::WHERE_IT_IS)
+        let slopes = fit.slopes.iter().map(|s| Some(Arc::new(self.forward.rows_of(s))));
+        by.fit(Start::at(model, fit.x.clone()).carrying(slopes, fit), Stop::WHERE_IT_IS)
     }
 }
 

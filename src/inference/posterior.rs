@@ -80,6 +80,11 @@ impl<'a> Start<'a> {
         Self { model, x, slopes: Vec::new(), axes: None, was_replayed: false }
     }
 
+    /// The same with `slopes` carried from `found`.
+    pub fn carrying(self, slopes: impl IntoIterator<Item = Option<Arc<Rows>>>, found: &Fit<'_>) -> Self {
+        Self { slopes: slopes.into_iter().collect(), was_replayed: found.was_replayed, ..self }
+    }
+
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
         let Fit { model, x, slopes, axes, was_replayed, .. } = found;

@@ -119,7 +119,7 @@ impl<'a> Competition<'a> {
         let best = (0..all.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
         let x = all.into_iter().nth(best).unwrap_or_default();
         let slopes = kept.iter().map(|i| Some(base.slopes[*i].clone())).chain(set.parts.iter().flat_map(Part::slopes));
-        Start { slopes: slopes.collect(), was_replayed: base.was_replayed, ..Start::at(model, x) }
+        Start::at(model, x).carrying(slopes, base)
     }
 
     /// Candidates at a strength of this many typical sizes, on one side of nothing or on each.

@@ -215,7 +215,7 @@ impl<'a> Fitter<'a> {
         let moved = (evidence(&taken) - evidence(slopes)).abs();
         search.renewals += 1;
         search.is_fresh = moved < STILL || search.renewals == RENEWALS;
-        search.was_replayed |= is_replayed;
+        search.was_replayed = is_replayed;
         search.origin = if is_replayed { Origin::Replayed } else { Origin::Equivalent };
         (search.slopes, search.axes) = (taken, axes);
     }
