@@ -2,6 +2,7 @@
 
 use super::column::EquivalentColumn;
 use super::tuning::{Tuning, least};
+use crate::numerics::fixed_point::fixed_point;
 use crate::numerics::grid::Grid;
 use realfft::num_complex::Complex;
 use std::f64::consts::{SQRT_2, TAU};
@@ -10,8 +11,8 @@ type C64 = Complex<f64>;
 
 /// Effective strain over the largest strain.
 const EFFECTIVE: f64 = 0.7;
-/// Most iterations, the share of a step that each takes in ln, and the relative change of every strain at which they end.
-const ITERATIONS: (usize, f64, f64) = (40, 0.5, 1e-4);
+/// Most iterations, and the relative change of every strain at which they end.
+const ITERATIONS: (usize, f64) = (40, 1e-4);
 /// Strain with which they start.
 const START_STRAIN: f64 = 1e-5;
 /// Least effective strain.
@@ -39,7 +40,7 @@ pub struct Compatible {
 }
 
 impl Compatible {
-    /// `column` under `base`: γ ← γ (F(γ)/γ)^½, F the effective strains of the column with γ, until they stand still.
+    /// `column` under `base`: ln γ = ln F(γ), F the effective strains of the column with γ.
     ///
     /// Source: Idriss and Sun (1992), SHAKE91.
     pub fn new(column: EquivalentColumn, base: &Base<'_>) -> Self {
@@ -56,26 +57,22 @@ impl Compatible {
         }
     }
 
-    fn from(column: EquivalentColumn, base: &Base<'_>, mut strain: Vec<f64>) -> Self {
+    fn from(column: EquivalentColumn, base: &Base<'_>, strain: Vec<f64>) -> Self {
         let f = base.frequencies_hz;
         let ends_hz = [f.first(), f.last()].map(|f| f.copied().unwrap_or(1.0));
         let grid = Grid::around(ends_hz[0], ends_hz[1], column.grid_step_hz());
         let displacement: Vec<C64> =
             f.iter().zip(base.acceleration_m_s2).map(|(f, a)| a / -(TAU * f).powi(2)).collect();
         let to_effective = EFFECTIVE * base.peak_factor * SQRT_2 / base.samples as f64;
-        let (iterations, share, still) = ITERATIONS;
-        for _ in 0..iterations {
-            let norm = column.march(grid, &strain, &[], &Tuning::default()).strain_norm(f, &displacement);
-            let mut moved: f64 = 0.0;
-            for (gamma, norm) in strain.iter_mut().zip(norm) {
-                let step = (to_effective * norm).max(LEAST_STRAIN) / *gamma;
-                moved = moved.max((step - 1.0).abs());
-                *gamma *= step.powf(share);
-            }
-            if moved < still {
-                break;
-            }
-        }
+        let exp = |ln: &[f64]| ln.iter().map(|x| x.exp()).collect::<Vec<f64>>();
+        let effective = |ln_strain: &[f64]| {
+            let march = column.march(grid, &exp(ln_strain), &[], &Tuning::default());
+            let norms = march.strain_norm(f, &displacement).into_iter();
+            norms.map(|norm| (to_effective * norm).max(LEAST_STRAIN).ln()).collect()
+        };
+        let (iterations, still) = ITERATIONS;
+        let start = strain.iter().map(|gamma| gamma.ln()).collect();
+        let strain = exp(&fixed_point(start, effective, iterations, still).0);
         Self { column, grid, strain }
     }
 

@@ -2,6 +2,7 @@
 
 pub mod block_tridiagonal;
 pub mod filter;
+pub mod fixed_point;
 pub mod grid;
 pub mod integrate;
 pub mod lanes;

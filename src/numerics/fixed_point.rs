@@ -1,0 +1,120 @@
+//! Where a map leaves a vector as it is.
+
+use faer::linalg::solvers::Solve;
+use faer::{Mat, Side};
+
+/// Steps that are remembered.
+const MEMORY: usize = 4;
+/// Largest share of what the map changes that a step takes.
+const DAMPED: f64 = 0.5;
+/// Share of the diagonal that keeps the least squares of steps in one direction solvable.
+const RIDGE: f64 = 1e-10;
+
+/// x of `map`(x) = x from `start`, within `tolerance` of every value, and whether it is: Anderson's mixing.
+///
+/// ```text
+/// f = map(x) − x,   x ← x + β f − Σ_j θ_j (Δx_j + β Δf_j),   θ = argmin |f − Σ_j θ_j Δf_j|²            (1)
+/// ```
+///
+/// β = ½, and half of that after every step that made |f| larger: from there it goes back to the best x so far and remembers nothing.
+///
+/// Check:  `a_map_that_is_nearly_one_ends_in_few_steps`, `a_map_that_turns_back_ends`.
+/// Source: Walker & Ni (2011), doi 10.1137/10078356X.
+pub fn fixed_point(
+    start: Vec<f64>,
+    map: impl Fn(&[f64]) -> Vec<f64>,
+    most_steps: usize,
+    tolerance: f64,
+) -> (Vec<f64>, bool) {
+    let residual = |x: &[f64]| minus(&map(x), x);
+    let mut best = (residual(&start), start);
+    let (mut x, mut f) = (best.1.clone(), best.0.clone());
+    let mut steps: Vec<[Vec<f64>; 2]> = Vec::new();
+    let mut share = DAMPED;
+    for _ in 0..most_steps {
+        if f.iter().all(|f| f.abs() < tolerance) {
+            return (x, true);
+        }
+        if square(&f).total_cmp(&square(&best.0)).is_gt() {
+            steps.clear();
+            share *= 0.5;
+            (f, x) = best.clone();
+        } else {
+            share = DAMPED.min(2.0 * share);
+        }
+        let there = mixed(&x, &f, &steps, share);
+        let found = residual(&there);
+        steps.push([minus(&there, &x), minus(&found, &f)]);
+        if steps.len() > MEMORY.min(x.len()) {
+            steps.remove(0);
+        }
+        (x, f) = (there, found);
+        if square(&f) < square(&best.0) {
+            best = (f.clone(), x.clone());
+        }
+    }
+    (best.1, false)
+}
+
+/// The next x of (1).
+fn mixed(x: &[f64], f: &[f64], steps: &[[Vec<f64>; 2]], share: f64) -> Vec<f64> {
+    let mut next: Vec<f64> = x.iter().zip(f).map(|(x, f)| x + share * f).collect();
+    let m = steps.len();
+    let a = Mat::from_fn(m, m, |i, j| dot(&steps[i][1], &steps[j][1]) * if i == j { 1.0 + RIDGE } else { 1.0 });
+    let Ok(factor) = a.llt(Side::Lower) else { return next };
+    let theta = factor.solve(Mat::from_fn(m, 1, |i, _| dot(&steps[i][1], f)));
+    for (j, [dx, df]) in steps.iter().enumerate() {
+        next.iter_mut().zip(dx).zip(df).for_each(|((x, dx), df)| *x -= theta[(j, 0)] * (dx + share * df));
+    }
+    next
+}
+
+fn minus(a: &[f64], b: &[f64]) -> Vec<f64> {
+    a.iter().zip(b).map(|(a, b)| a - b).collect()
+}
+
+fn dot(a: &[f64], b: &[f64]) -> f64 {
+    a.iter().zip(b).map(|(a, b)| a * b).sum()
+}
+
+fn square(a: &[f64]) -> f64 {
+    dot(a, a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::Cell;
+
+    #[test]
+    fn a_map_that_is_nearly_one_ends_in_few_steps() {
+        // Half of the change alone would take 200 steps.
+        let count = Cell::new(0);
+        let map = |x: &[f64]| {
+            count.set(count.get() + 1);
+            vec![0.95 * x[0] + 0.1 * x[1] + 0.05, 0.3 * x[1] + 0.1 * x[1].sin() + 0.7]
+        };
+        let (x, is_found) = fixed_point(vec![5.0, -3.0], map, 40, 1e-8);
+        let residual = [0.95 * x[0] + 0.1 * x[1] + 0.05 - x[0], 0.3 * x[1] + 0.1 * x[1].sin() + 0.7 - x[1]];
+        assert!(is_found && residual.iter().all(|r| r.abs() < 1e-8), "{x:?} {residual:?}");
+        assert!(count.get() < 15, "{}", count.get());
+    }
+
+    #[test]
+    fn a_map_that_turns_back_ends() {
+        let (x, is_found) = fixed_point(vec![0.1], |x| vec![3.0 - 2.5 * x[0].tanh()], 60, 1e-9);
+        assert!(is_found && (3.0 - 2.5 * x[0].tanh() - x[0]).abs() < 1e-9, "{x:?}");
+    }
+
+    #[test]
+    fn a_map_that_is_nowhere_on_the_way_is_turned_from() {
+        let map = |x: &[f64]| vec![if x[0] > 2.0 { f64::NAN } else { 5.0 - 4.0 * x[0] }];
+        let (x, is_found) = fixed_point(vec![0.0], map, 40, 1e-9);
+        assert!(is_found && (x[0] - 1.0).abs() < 1e-9, "{x:?}");
+    }
+
+    #[test]
+    fn what_has_none_says_so() {
+        assert!(!fixed_point(vec![0.0], |x| vec![x[0] + 1.0], 20, 1e-6).1);
+    }
+}
