@@ -16,9 +16,11 @@ const RIDGE: f64 = 1e-10;
 /// f = map(x) − x,   x ← x + β f − Σ_j θ_j (Δx_j + β Δf_j),   θ = argmin |f − Σ_j θ_j Δf_j|²            (1)
 /// ```
 ///
-/// β = ½, and half of that after every step that made |f| larger: from there it goes back to the best x so far and remembers nothing.
+/// β = ½. A step that would make |f| larger is not taken: all before it are forgotten and β is halved; each that is taken doubles it again
+/// up to ½.
 ///
-/// Check:  `a_map_that_is_nearly_one_ends_in_few_steps`, `a_map_that_turns_back_ends`.
+/// Check:  `a_map_that_is_nearly_one_ends_in_few_steps`, `a_map_that_turns_back_ends`,
+/// `a_map_that_is_nowhere_on_the_way_is_turned_from`.
 /// Source: Walker & Ni (2011), doi 10.1137/10078356X.
 pub fn fixed_point(
     start: Vec<f64>,
@@ -27,33 +29,31 @@ pub fn fixed_point(
     tolerance: f64,
 ) -> (Vec<f64>, bool) {
     let residual = |x: &[f64]| minus(&map(x), x);
-    let mut best = (residual(&start), start);
-    let (mut x, mut f) = (best.1.clone(), best.0.clone());
+    let is_still = |f: &[f64]| f.iter().all(|f| f.abs() < tolerance);
+    let mut f = residual(&start);
+    let mut x = start;
     let mut steps: Vec<[Vec<f64>; 2]> = Vec::new();
     let mut share = DAMPED;
     for _ in 0..most_steps {
-        if f.iter().all(|f| f.abs() < tolerance) {
-            return (x, true);
-        }
-        if square(&f).total_cmp(&square(&best.0)).is_gt() {
-            steps.clear();
-            share *= 0.5;
-            (f, x) = best.clone();
-        } else {
-            share = DAMPED.min(2.0 * share);
+        if is_still(&f) {
+            break;
         }
         let there = mixed(&x, &f, &steps, share);
         let found = residual(&there);
+        if square(&found).total_cmp(&square(&f)).is_gt() && !is_still(&found) {
+            steps.clear();
+            share *= 0.5;
+            continue;
+        }
+        share = DAMPED.min(2.0 * share);
         steps.push([minus(&there, &x), minus(&found, &f)]);
         if steps.len() > MEMORY.min(x.len()) {
             steps.remove(0);
         }
         (x, f) = (there, found);
-        if square(&f) < square(&best.0) {
-            best = (f.clone(), x.clone());
-        }
     }
-    (best.1, false)
+    let is_found = is_still(&f);
+    (x, is_found)
 }
 
 /// The next x of (1).
