@@ -59,6 +59,7 @@ fn power(x: &[f64]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::NoiseSource;
     use super::*;
     use crate::numerics::random;
     use rand_distr::{Distribution, StandardNormal};
@@ -69,7 +70,7 @@ mod tests {
         let dt_s = 0.01;
         let base: Vec<f64> = (0..4000).map(|_| StandardNormal.sample(&mut random)).collect();
         let response: Vec<f64> = base.iter().map(|u| 3.0 * u).collect();
-        let [input, output] = [0.02, 0.05].map(|sd| NoiseSpectrum::white(sd, dt_s));
+        let [input, output] = [0.02, 0.05].map(|sd| NoiseSpectrum::white(sd, dt_s, NoiseSource::Declared));
         let whole = noise_deviation_m_s2(&base, &response, dt_s, [&input, &output], 50.0);
         let expected = (0.05f64.powi(2) + 9.0 * 0.02f64.powi(2)).sqrt();
         assert!((whole / expected - 1.0).abs() < 0.01, "{whole} {expected}");

@@ -1,6 +1,6 @@
-//! Noise of each sensor from its own record: what it shows before the event, or beyond the band of the shaking.
+//! Noise of each sensor: as declared, as its record shows it before the event, or as is usual.
 
-use super::problem::NoiseSpectrum;
+use super::problem::{NoiseSource, NoiseSpectrum};
 use crate::metrics::{median, rms};
 use crate::numerics::filter;
 use crate::records::{DeclaredNoise, Record};
@@ -17,12 +17,8 @@ const GROWTH: f64 = 2.5;
 const QUIET_SHARE: f64 = 0.02;
 /// Segments of the averaged spectrum, s.
 const SEGMENT_S: f64 = 2.56;
-/// Band without shaking, as shares of the highest frequency.
-const EMPTY_BAND: [f64; 2] = [0.86, 0.98];
-/// Share of the segments, those that shake least, in which that band is looked at.
-const CALMEST_SHARE: f64 = 0.25;
-/// Smallest noise where only that band tells, as a share of the record's RMS.
-const SMALLEST_SHARE: f64 = 0.005;
+/// Noise where nothing tells it, as a share of the RMS of a record.
+pub const USUAL_SHARE: f64 = 0.01;
 
 /// Noise of every sensor of `record`, the input sensor first.
 ///
@@ -30,23 +26,24 @@ const SMALLEST_SHARE: f64 = 0.005;
 /// S(f) = 2 Δt / Σ w² · mean over segments of |F[w x](f)|²               (1)
 /// ```
 ///
-/// over the stretch before the event where no sensor's RMS grows; where there is no such stretch of four seconds, the mean
-/// of (1) above 86 % of the highest frequency in the quarter of the segments that shake least, taken as white.
+/// over the stretch before the event where no sensor's RMS grows. Where there is no such stretch of four seconds it is taken as white, a
+/// hundredth of the record's RMS: processing may have emptied any band, so that none of them tells it.
 ///
-/// Limits: instruments whose filters act below the highest frequency record less noise there than in the band of the
-/// shaking; then only records with a pre-event stretch tell it.
-/// Check:  `white_noise_is_found_with_and_without_a_pre_event_stretch`, `coloured_noise_keeps_its_colour`.
+/// Check:  `white_noise_is_found_before_the_event`, `what_processing_emptied_tells_no_noise`, `coloured_noise_keeps_its_colour`.
 /// Source: Welch (1967), doi 10.1109/TAU.1967.1161901.
 /// `declared` noise is taken as it is declared.
 pub fn noise(record: &Record, declared: Option<DeclaredNoise>) -> Vec<NoiseSpectrum> {
     if let Some(declared) = declared {
-        let of = |x: &[f64]| NoiseSpectrum::white(declared.deviation_m_s2(rms(x)), record.dt_s);
+        let of = |x: &[f64]| NoiseSpectrum::white(declared.deviation_m_s2(rms(x)), record.dt_s, NoiseSource::Declared);
         return record.sensors().map(|s| of(&s.acceleration_m_s2)).collect();
     }
     let quiet = quiet_samples(record);
     let of = |x: &[f64]| match quiet {
         Some(n) => averaged(&x[..n], record.dt_s),
-        None => beyond_the_band(x, record.dt_s),
+        None => {
+            let deviation = (USUAL_SHARE * rms(x)).max(f64::MIN_POSITIVE.sqrt());
+            NoiseSpectrum::white(deviation, record.dt_s, NoiseSource::Usual)
+        }
     };
     record.sensors().map(|s| of(&s.acceleration_m_s2)).collect()
 }
@@ -101,7 +98,7 @@ fn averaged(x: &[f64], dt_s: f64) -> NoiseSpectrum {
         power[range].iter().sum::<f64>() / n
     };
     let power = (0..power.len()).map(smooth).collect();
-    NoiseSpectrum { step_hz: 1.0 / (length as f64 * dt_s), power, is_measured: true }
+    NoiseSpectrum { step_hz: 1.0 / (length as f64 * dt_s), power, source: NoiseSource::BeforeTheEvent }
 }
 
 /// The motion behind the samples `x` of a sensor with this `noise`: every frequency by the share of its power that is not noise.
@@ -124,18 +121,6 @@ pub fn denoised(x: &[f64], dt_s: f64, noise: &NoiseSpectrum) -> Vec<f64> {
 /// The factor of (2).
 fn kept(noise: &NoiseSpectrum, power: &NoiseSpectrum, frequency_hz: f64) -> f64 {
     (1.0 - noise.at(frequency_hz) / power.at(frequency_hz).max(f64::MIN_POSITIVE)).max(0.0)
-}
-
-fn beyond_the_band(x: &[f64], dt_s: f64) -> NoiseSpectrum {
-    let (mut found, length) = segments(x, dt_s);
-    let [first, last] = EMPTY_BAND.map(|share| (share * (length / 2) as f64) as usize);
-    let shaking = |segment: &[f64]| segment[..first].iter().sum::<f64>();
-    found.sort_by(|a, b| shaking(a).total_cmp(&shaking(b)));
-    found.truncate(((CALMEST_SHARE * found.len() as f64).ceil() as usize).max(1));
-    let empty: Vec<f64> = found.iter().flat_map(|segment| &segment[first..=last]).copied().collect();
-    let density = empty.iter().sum::<f64>() / empty.len().max(1) as f64;
-    let deviation = (density / (2.0 * dt_s)).sqrt().max(SMALLEST_SHARE * rms(x)).max(f64::MIN_POSITIVE.sqrt());
-    NoiseSpectrum { is_measured: false, ..NoiseSpectrum::white(deviation, dt_s) }
 }
 
 #[cfg(test)]
@@ -170,7 +155,7 @@ mod tests {
         let noise: Vec<f64> = white(n, "denoised").into_iter().map(|v| 0.05 * v).collect();
         let clean = record(0.0, &[vec![0.0; n], vec![0.0; n]]).input.acceleration_m_s2;
         let noisy: Vec<f64> = clean.iter().zip(&noise).map(|(x, v)| x + v).collect();
-        let found = denoised(&noisy, DT_S, &NoiseSpectrum::white(0.05, DT_S));
+        let found = denoised(&noisy, DT_S, &NoiseSpectrum::white(0.05, DT_S, NoiseSource::Declared));
         let error: Vec<f64> = found.iter().zip(&clean).map(|(a, b)| a - b).collect();
         assert!(rms(&error) < 0.5 * rms(&noise), "{} of {}", rms(&error), rms(&noise));
         let beyond = |x: &[f64]| rms(&filter::zero_phase(x, DT_S, |f| if f > 15.0 { 1.0 } else { 0.0 }));
@@ -178,36 +163,29 @@ mod tests {
     }
 
     #[test]
-    fn white_noise_is_found_with_and_without_a_pre_event_stretch() {
+    fn white_noise_is_found_before_the_event() {
         let level = [0.004, 0.02];
         let noise: Vec<Vec<f64>> =
             (0..2).map(|s| white(4000, &format!("n{s}")).iter().map(|v| level[s] * v).collect()).collect();
-        for onset_s in [10.0, 0.0] {
-            let record = record(onset_s, &noise);
-            assert_eq!(quiet_samples(&record).is_some(), onset_s > 0.0);
-            let found = super::noise(&record, None);
-            for (spectrum, level) in found.iter().zip(level) {
-                let expected = 2.0 * DT_S * level * level;
-                for f in [1.0, 3.0, 8.0] {
-                    let ratio = spectrum.at(f) / expected;
-                    assert!((0.5..2.0).contains(&ratio), "onset {onset_s} s, {f} Hz: {ratio}");
-                }
+        for (spectrum, level) in super::noise(&record(10.0, &noise), None).iter().zip(level) {
+            assert_eq!(spectrum.source, NoiseSource::BeforeTheEvent);
+            let expected = 2.0 * DT_S * level * level;
+            for f in [1.0, 3.0, 8.0] {
+                let ratio = spectrum.at(f) / expected;
+                assert!((0.5..2.0).contains(&ratio), "{f} Hz: {ratio}");
             }
         }
     }
 
     #[test]
-    fn chatter_during_the_shaking_is_not_taken_for_noise() {
-        let chatter = white(4000, "chatter");
-        let with_chatter = |s: usize| -> Vec<f64> {
-            let noise = white(4000, &format!("n{s}"));
-            let envelope = |i: usize| 0.05 * (-((i as f64 - 800.0) / 400.0).powi(2)).exp();
-            (0..4000).map(|i| 0.01 * noise[i] + envelope(i) * chatter[i]).collect()
-        };
-        for spectrum in super::noise(&record(0.0, &[with_chatter(0), with_chatter(1)]), None) {
-            let ratio = spectrum.at(3.0) / (2.0 * DT_S * 1e-4);
-            assert!((0.7..1.4).contains(&ratio), "{ratio}");
-        }
+    fn what_processing_emptied_tells_no_noise() {
+        let whole = record(0.0, &[white(4000, "a"), white(4000, "b")].map(|x| x.iter().map(|v| 0.02 * v).collect()));
+        let mut cut = whole.clone();
+        cut.input.acceleration_m_s2 =
+            filter::zero_phase(&cut.input.acceleration_m_s2, DT_S, |f| if f > 20.0 { 0.0 } else { 1.0 });
+        let [whole, cut] = [whole, cut].map(|record| super::noise(&record, None).swap_remove(0));
+        assert_eq!(cut.source, NoiseSource::Usual);
+        assert!((cut.at(5.0) / whole.at(5.0) - 1.0).abs() < 0.01);
     }
 
     #[test]

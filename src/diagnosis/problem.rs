@@ -4,6 +4,7 @@ use super::Tolerances;
 use crate::effects::{Array, Situation};
 use crate::error::Result;
 use crate::records::Split;
+use serde::Serialize;
 
 /// The array, what is declared of it, and the events to explain; never a held-out event.
 #[derive(Debug, Clone)]
@@ -54,15 +55,27 @@ pub struct NoiseSpectrum {
     pub step_hz: f64,
     /// One-sided density, (m/s²)²/Hz; the last value holds beyond the end.
     pub power: Vec<f64>,
-    /// Whether the record shows it by itself, before its event.
-    pub is_measured: bool,
+    /// What tells it.
+    pub source: NoiseSource,
+}
+
+/// What tells the noise of a sensor.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NoiseSource {
+    /// The manifest.
+    Declared,
+    /// The record, before its event.
+    BeforeTheEvent,
+    /// Nothing: it is taken as is usual.
+    Usual,
 }
 
 impl NoiseSpectrum {
-    /// White noise of standard deviation `deviation_m_s2` sampled every `dt_s`.
-    pub fn white(deviation_m_s2: f64, dt_s: f64) -> Self {
+    /// White noise of standard deviation `deviation_m_s2` sampled every `dt_s`, which `source` tells.
+    pub fn white(deviation_m_s2: f64, dt_s: f64, source: NoiseSource) -> Self {
         let power = vec![2.0 * dt_s * deviation_m_s2 * deviation_m_s2];
-        Self { step_hz: 1.0, power, is_measured: true }
+        Self { step_hz: 1.0, power, source }
     }
 
     /// Density at `frequency_hz`, linear between the values.

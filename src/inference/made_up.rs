@@ -2,7 +2,7 @@
 
 use crate::column::{Analysis, BaseMotion, Column, Layer, Profile};
 use crate::dataset::all_sensor_histories;
-use crate::diagnosis::{Event, Motions, NoiseSpectrum, Problem, Replay, Tolerances};
+use crate::diagnosis::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay, Tolerances};
 use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
 use crate::error::Result;
 use crate::numerics::{random, spectrum};
@@ -111,7 +111,7 @@ pub fn problem(truth: &Truth<'_>) -> Problem {
                 dt_s: DT_S,
                 input: recorded[0][c].clone(),
                 outputs: recorded[1..].iter().map(|s| s[c].clone()).collect(),
-                noise: vec![NoiseSpectrum::white(truth.noise_m_s2, DT_S); 3],
+                noise: vec![NoiseSpectrum::white(truth.noise_m_s2, DT_S, NoiseSource::Declared); 3],
             });
         }
     }

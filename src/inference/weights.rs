@@ -2,7 +2,7 @@
 
 use super::covariance::Covariance;
 use super::forward::{At, Bins, Forward, Predicted, Prediction};
-use crate::diagnosis::spectra;
+use crate::diagnosis::{NoiseSource, USUAL_SHARE, spectra};
 use crate::metrics::median;
 use crate::numerics::smooth::running_mean;
 use rayon::prelude::*;
@@ -25,8 +25,6 @@ const LEAST_BINS: usize = 3;
 const KNOTS: usize = 7;
 /// Bins to either side over which the transfer function of the column is taken.
 const RESOLUTION: usize = 1;
-/// Noise of a sensor where nothing tells it, as a share of the RMS of its record within the frequency band.
-const USUAL_NOISE: f64 = 0.01;
 /// Values of the column's error that the declared one counts for when its level is estimated.
 const PRIOR_VALUES: f64 = 10.0;
 /// Steps towards the level of that error.
@@ -182,11 +180,11 @@ fn resolution_hz(forward: &Forward<'_>) -> f64 {
 /// band and nowhere more than what was recorded there, for processing may have emptied part of the band.
 fn noise(forward: &Forward<'_>, at: At, channel: usize) -> Vec<f64> {
     let record = &forward.groups[at.group].records[at.record];
-    if forward.problem.events[record.event].noise[channel].is_measured {
+    if forward.problem.events[record.event].noise[channel].source != NoiseSource::Usual {
         return record.noise[channel].clone();
     }
     let power = powers(&record.channels[channel]);
-    let white = USUAL_NOISE * USUAL_NOISE * power.iter().sum::<f64>() / power.len().max(1) as f64;
+    let white = USUAL_SHARE * USUAL_SHARE * power.iter().sum::<f64>() / power.len().max(1) as f64;
     let half = spectra::smoothing_bins(forward.frequencies_hz(at));
     running_mean(&power, half).into_iter().map(|recorded| white.min(recorded).max(f64::MIN_POSITIVE)).collect()
 }

@@ -7,7 +7,7 @@ use super::generic::{Channel, Generic};
 use super::side_by_side::{self, Histories, judged};
 use super::{correct, diagnose, extend, records, replay};
 use crate::dataset::Coarse;
-use crate::diagnosis::{self, Change, Diagnosis, ErrorRow, Six, Summary, Verdict, noise_deviation_m_s2};
+use crate::diagnosis::{self, Change, Diagnosis, ErrorRow, NoiseSource, Six, Summary, Verdict, noise_deviation_m_s2};
 use crate::effects::Class;
 use crate::error::Result;
 use crate::manifest::SensorsSection;
@@ -46,8 +46,21 @@ pub struct Loop {
     /// What remains beside what is named, where the diagnosis says it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub rest: Option<diagnosis::Rest>,
+    /// What tells the noise of the sensors, record by record.
+    pub noise: Vec<RecordNoise>,
     /// Remarks for people.
     pub notes: Vec<String>,
+}
+
+/// Noise of one record.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RecordNoise {
+    /// Event.
+    pub event: String,
+    /// Component.
+    pub component: String,
+    /// What tells it.
+    pub source: NoiseSource,
 }
 
 /// A named effect.
@@ -86,7 +99,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -118,9 +131,12 @@ impl Stage for Compare {
         let mut beside = Vec::new();
         let mut ablation = Vec::new();
         let mut channels = Vec::new();
+        let mut noise = Vec::new();
         for (split, record) in records::read(task.input("records")?, &settings, &sensors)?.records {
             beside.extend(passes.beside(&record, split)?);
             ablation.extend(record.outputs.iter().map(|s| passes.ablation(&record, &s.name)));
+            let source = diagnosis::noise(&record, passes.noise)[0].source;
+            noise.push(RecordNoise { event: record.event.clone(), component: record.component.clone(), source });
             if is_unknown {
                 channels.extend(passes.channels(&record, split)?);
             }
@@ -142,7 +158,10 @@ impl Stage for Compare {
             notes.extend(found.changes.iter().map(|change| format!("without physical meaning: {}", change.claim())));
             generic = Some(found);
         }
-        write_json(&task.output_dir().join(FILE), &Loop { generic, ..Loop::new(&diagnosis, errors, summary, notes) })
+        write_json(
+            &task.output_dir().join(FILE),
+            &Loop { generic, noise, ..Loop::new(&diagnosis, errors, summary, notes) },
+        )
     }
 }
 
@@ -176,6 +195,7 @@ impl Loop {
             summary,
             generic: None,
             rest: diagnosis.rest.clone(),
+            noise: Vec::new(),
             notes,
         }
     }
