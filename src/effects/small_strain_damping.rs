@@ -1,7 +1,7 @@
 //! Damping at strains where the laws hardly dissipate.
 
 use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
-use crate::column::Profile;
+use crate::column::{Layer, Profile};
 use crate::error::Result;
 use crate::registry;
 use schemars::JsonSchema;
@@ -52,7 +52,7 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 /// (2) is for laws such as SANISAND without a `damping_ratio`: nothing is there to be multiplied, so m counts in units of
 /// one per cent, about the small-strain damping of sand at shallow depth. The column turns ratios into Rayleigh damping.
 ///
-/// Limits: in (2), m below one does nothing: hysteresis at small strains cannot be taken away.
+/// Limits: in (2), m below one is refused: hysteresis at small strains cannot be taken away.
 /// Check:  `what_is_declared_is_multiplied_and_what_is_not_gets_a_stated_ratio`.
 /// Source: Tao & Rathje (2019) and Pretell et al. (2023) for multipliers of 1.5…5.5; Darendeli (2001) for ξ_ref.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
@@ -70,12 +70,21 @@ impl SmallStrainDamping {
 }
 
 impl Effect for SmallStrainDamping {
+    fn refusal(&self, profile: &Profile) -> Option<String> {
+        let has_ratio =
+            |layer: &Layer| layer.law_kind == "hyperbolic" || layers::number(layer, "damping_ratio", 0.0) > 0.0;
+        let is_declared = has_rayleigh(profile) || profile.layers.iter().any(has_ratio);
+        (self.multiplier < 1.0 && !is_declared).then(|| {
+            "neither the column nor a layer declares a small-strain damping that could be less; a multiplier above 1 adds one".into()
+        })
+    }
+
     fn edit(&self, profile: &mut Profile, _: &Situation) {
         let m = self.multiplier;
         if m == 1.0 {
             return;
         }
-        let is_declared = profile.rayleigh.alpha_1_s > 0.0 || profile.rayleigh.beta_s > 0.0;
+        let is_declared = has_rayleigh(profile);
         profile.rayleigh.alpha_1_s *= m; // (1)
         profile.rayleigh.beta_s *= m;
         for layer in &mut profile.layers {
@@ -89,6 +98,10 @@ impl Effect for SmallStrainDamping {
             }
         }
     }
+}
+
+fn has_rayleigh(profile: &Profile) -> bool {
+    profile.rayleigh.alpha_1_s > 0.0 || profile.rayleigh.beta_s > 0.0
 }
 
 #[cfg(test)]
@@ -116,6 +129,8 @@ mod tests {
         assert_eq!(ratio(&edited("sanisand", None, 0.0, 0.5)), 0.0);
         let rayleigh = edited("mohr_coulomb", None, 0.4, 3.0);
         assert_eq!((ratio(&rayleigh), rayleigh.rayleigh.alpha_1_s), (0.0, 0.4 * 3.0));
+        let refused = |kind: &str, multiplier: f64| SmallStrainDamping { multiplier }.refusal(&profile(kind)).is_some();
+        assert!(refused("sanisand", 0.5) && !refused("sanisand", 2.0) && !refused("hyperbolic", 0.5));
         let hyperbolic = edited("hyperbolic", None, 0.0, 3.0);
         assert_eq!(layers::number(&hyperbolic.layers[0], "damping_multiplier", 1.0), 3.0);
     }
