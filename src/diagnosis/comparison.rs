@@ -239,6 +239,8 @@ impl Change {
         } else if *n_event < PairedDifference::FEWEST {
             let needed = PairedDifference::FEWEST;
             format!("{what}: nothing is claimed of {to} against {from}, that takes {needed} held-out events: {numbers}")
+        } else if self.ci95.is_some_and(|[low, _]| low > 0.0) {
+            format!("{what}: {to} is worse than {from}: {numbers}")
         } else {
             format!("{what}: no improvement of {to} on {from} can be claimed: {numbers}")
         }
@@ -292,6 +294,10 @@ mod tests {
         assert!(change.is_improved && (change.mean + 22.0).abs() < 1e-9 && change.claim().contains("improves on"));
         assert_eq!(found.test_median_nrmse_percent.corrected, Some(20.0));
         assert_eq!(found.test_median_nrmse_percent.flare_after, None);
+        let back: Vec<ErrorRow> =
+            (0..5).map(|i| row(&format!("E{i}"), Split::Test, 20.0, Some(40.0 + f64::from(i)))).collect();
+        let worse = &summary(&back).changes[0];
+        assert!(!worse.is_improved && worse.claim().contains("corrected is worse than recalibrated"));
         let mixed =
             [clear.clone(), vec![row("E9", Split::Test, 10.0, Some(60.0)), row("E8", Split::Test, 10.0, Some(60.0))]];
         assert!(!summary(&mixed.concat()).changes[0].is_improved);
