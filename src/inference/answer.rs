@@ -55,6 +55,10 @@ pub fn diagnose(
     let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
     let mut competition = Competition::new(fitter, fit, few, settings.max_effects);
     competition.run(progress)?;
+    // What is known may be part of several models and no model by itself.
+    if let Some(effects) = (Answer { forward: &forward, competition: &competition, problem }).unfitted() {
+        competition.fit_part(&effects)?;
+    }
     progress.note(&competition.replays());
     Ok(Answer { forward: &forward, competition: &competition, problem }.assembled())
 }
@@ -102,7 +106,8 @@ impl<'a> Answer<'_, 'a> {
             }
         }
         let range = answer.model.declared.len();
-        let besides = (verdict == Verdict::Known).then(|| besides(&mass, &known)).flatten();
+        let open =
+            (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
         Diagnosis {
             verdict,
             effects: if is_named { self.found(answer) } else { Vec::new() },
@@ -112,9 +117,27 @@ impl<'a> Answer<'_, 'a> {
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
             tolerance_alarms: strained(answer),
-            notes: [rest.sentence()].into_iter().chain(besides).collect(),
+            notes: [rest.sentence()].into_iter().chain(open.into_iter().flatten()).collect(),
             rest: Some(rest),
         }
+    }
+
+    /// Effects of the best model that has all known kinds, where no model has these alone.
+    fn unfitted(&self) -> Option<Vec<Instance>> {
+        let known = known_kinds(&self.masses());
+        if self.competition.fits.iter().any(|fit| kinds(fit) == known) {
+            return None;
+        }
+        let of = |fit: &Fit<'a>| {
+            let mut wanted = known.clone();
+            let mut is_wanted = |e: &&Instance| {
+                let index = wanted.iter().position(|kind| *kind == e.kind);
+                index.map(|i| wanted.remove(i)).is_some()
+            };
+            let effects: Vec<Instance> = fit.model.effects.iter().filter(&mut is_wanted).cloned().collect();
+            wanted.is_empty().then_some(effects)
+        };
+        self.competition.best_of(|fit| of(fit).is_some()).and_then(of)
     }
 
     /// Models that were fitted, most probable first.
@@ -167,6 +190,25 @@ impl<'a> Answer<'_, 'a> {
         let mut mass: BTreeMap<Vec<&'static str>, f64> = BTreeMap::new();
         self.probabilities().for_each(|(fit, p)| *mass.entry(kinds(fit)).or_default() += p);
         mass
+    }
+
+    /// A sentence for each of the `known` kinds whose place is not known with it.
+    fn open_places(&self, known: &[&'static str]) -> Vec<String> {
+        let of = |kind: &&'static str| {
+            let mut mass: BTreeMap<String, f64> = BTreeMap::new();
+            for (fit, p) in self.probabilities() {
+                let own = fit.model.effects.iter().filter(|e| e.kind == *kind);
+                *mass.entry(own.map(Instance::place).collect::<Vec<_>>().join(" and ")).or_default() += p;
+            }
+            mass.remove("");
+            let mut places: Vec<(String, f64)> = mass.into_iter().filter(|(_, p)| *p > NOTHING).collect();
+            places.sort_by(|a, b| b.1.total_cmp(&a.1));
+            let named: Vec<String> = places.iter().map(|(place, p)| format!("{place} ({p:.2})")).collect();
+            (named.len() > 1)
+                .then(|| format!("{} is at one of (probability): {}.", kind.replace('_', " "), named.join(", ")))
+        };
+        let once: BTreeSet<&&'static str> = known.iter().collect();
+        once.into_iter().filter_map(of).collect()
     }
 
     /// Residual power over that of the records, mean over records and sensors.

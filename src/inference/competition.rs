@@ -245,6 +245,16 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
+    /// Fits some of the effects of the best model to the end.
+    ///
+    /// # Errors
+    /// When an effect cannot be built.
+    pub fn fit_part(&mut self, effects: &[Instance]) -> Result<()> {
+        let fit = self.fitter.fit(self.part(effects), Stop::EXACT)?;
+        self.keep(fit);
+        Ok(())
+    }
+
     /// Fits the most promising candidates beside the fitted model with `effects`.
     fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
         let base = match self.known(&effects) {
