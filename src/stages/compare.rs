@@ -7,7 +7,9 @@ use super::generic::{Channel, Generic};
 use super::side_by_side::{self, Histories, judged};
 use super::{correct, diagnose, extend, records, replay};
 use crate::dataset::Coarse;
-use crate::diagnosis::{self, Change, Diagnosis, ErrorRow, NoiseSource, Six, Summary, Verdict, noise_deviation_m_s2};
+use crate::diagnosis::{
+    self, Change, Diagnosis, ErrorRow, NoiseSource, NoiseSpectrum, Six, Summary, Verdict, noise_deviation_m_s2,
+};
 use crate::effects::Class;
 use crate::error::Result;
 use crate::manifest::SensorsSection;
@@ -133,10 +135,11 @@ impl Stage for Compare {
         let mut channels = Vec::new();
         let mut noise = Vec::new();
         for (split, record) in records::read(task.input("records")?, &settings, &sensors)?.records {
-            beside.extend(passes.beside(&record, split)?);
+            let spectra = diagnosis::noise(&record, settings.noise);
+            beside.extend(passes.beside(&record, &spectra, split)?);
             ablation.extend(record.outputs.iter().map(|s| passes.ablation(&record, &s.name)));
-            let source = diagnosis::noise(&record, passes.noise)[0].source;
-            noise.push(RecordNoise { event: record.event.clone(), component: record.component.clone(), source });
+            let (event, component) = (record.event.clone(), record.component.clone());
+            noise.push(RecordNoise { event, component, source: spectra[0].source });
             if is_unknown {
                 channels.extend(passes.channels(&record, split)?);
             }
@@ -213,7 +216,6 @@ struct Passes<'a> {
     after_dir: Option<&'a Path>,
     axis: Axis,
     output_step_s: f64,
-    noise: Option<crate::records::DeclaredNoise>,
     /// Replays of the manifest as declared, recalibrated and, where something was corrected, corrected.
     declared: &'a Path,
     recalibrated: &'a Path,
@@ -241,7 +243,6 @@ impl<'a> Passes<'a> {
                 None => Axis { start_s: 0.0, step_s: task.section("pretrain.step_s")? },
             },
             output_step_s: task.section("analysis.output_step_s")?,
-            noise: task.optional("records.noise")?,
             declared: task.input("declared")?,
             recalibrated: task.input("recalibrated")?,
             corrected: is_corrected.then(|| task.input("corrected")).transpose()?,
@@ -270,8 +271,8 @@ impl<'a> Passes<'a> {
         Ok(observed.into_iter().enumerate().map(of).collect())
     }
 
-    /// What was recorded and predicted at every output sensor.
-    fn beside(&self, record: &Record, split: Split) -> Result<Vec<side_by_side::Channel>> {
+    /// What was recorded and predicted at every output sensor; `noise` is that of all sensors, the input sensor first.
+    fn beside(&self, record: &Record, noise: &[NoiseSpectrum], split: Split) -> Result<Vec<side_by_side::Channel>> {
         let observed = self.axis.of_record(record);
         let input = Coarse::of_record(record, self.axis.step_s).base_m_s2;
         let mut fine = BTreeMap::new();
@@ -322,7 +323,9 @@ impl<'a> Passes<'a> {
                 corrected: coarse.nrmse("corrected"),
                 flare_before: flare(&self.before),
                 flare_after: flare(&self.after),
-                noise_floor: best.as_ref().and_then(|h| self.floor(record, j, &h[j], &observed[j])),
+                noise_floor: best
+                    .as_ref()
+                    .and_then(|h| self.floor(record, [&noise[0], &noise[j + 1]], &h[j], &observed[j])),
                 ceiling: None,
             };
             let (event, component) = (record.event.clone(), record.component.clone());
@@ -335,13 +338,13 @@ impl<'a> Passes<'a> {
         nrmse(self.ablation.as_ref()?, record, sensor)?.flare_t
     }
 
-    /// NRMSE that noise leaves to the right model, %, with the amplification of the best model there is.
-    fn floor(&self, record: &Record, sensor: usize, response: &[f64], observed: &[f64]) -> Option<f64> {
-        let noise = diagnosis::noise(record, self.noise);
+    /// NRMSE that `noise` of the input and of the output sensor leaves to the right model, %, with the amplification of the best model
+    /// there is.
+    fn floor(&self, record: &Record, noise: [&NoiseSpectrum; 2], response: &[f64], observed: &[f64]) -> Option<f64> {
         let response = resample_band_limited(response, self.output_step_s, record.dt_s);
-        let pair = [noise.first()?, noise.get(sensor + 1)?];
         let nyquist_hz = 0.5 / self.axis.step_s;
-        let deviation = noise_deviation_m_s2(&record.input.acceleration_m_s2, &response, record.dt_s, pair, nyquist_hz);
+        let deviation =
+            noise_deviation_m_s2(&record.input.acceleration_m_s2, &response, record.dt_s, noise, nyquist_hz);
         Some(100.0 * deviation / rms(observed)).filter(|v| v.is_finite())
     }
 }
