@@ -3,6 +3,7 @@
 use super::SiteArguments;
 use super::workspace::Workspace;
 use crate::column::Column;
+use crate::effects;
 use crate::error::Result;
 
 /// Checks the manifest and says, where it is right, what it declares.
@@ -28,5 +29,8 @@ pub fn check(arguments: &SiteArguments) -> Result<()> {
     let range = |values: &[f64]| values.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
     let (least, largest) = range(&moduli);
     eprintln!("  small-strain shear modulus: {:.1}–{:.1} MPa", least / 1e6, largest / 1e6);
+    for sentence in effects::left_alone(&site.effects, &site.column().profile()?) {
+        eprintln!("  {sentence}");
+    }
     Ok(())
 }

@@ -141,6 +141,10 @@ impl ErrorRow {
             Claimed::NrmsePercent => of_model(&self.nrmse_percent, model),
             Claimed::LnFourier => of_field()?.ln_fourier_by_hz.rms,
             Claimed::LnPsa => of_field()?.ln_psa_by_s.rms,
+            Claimed::CoherentNrmsePercent => of_model(&self.nrmse_coherent_percent, model),
+            Claimed::LnPga => of_field()?.ln_pga.map(f64::abs),
+            Claimed::LnArias => of_field()?.ln_arias.map(f64::abs),
+            Claimed::LnDuration => of_field()?.ln_duration_5_95.map(f64::abs),
         }
     }
 }
@@ -223,6 +227,15 @@ impl Change {
         Some(Self { measure, from: from.into(), to: to.into(), mean, ci95, sign_test_p, is_improved, n_event: n })
     }
 
+    /// Whether it is told without being asked for: the first measures always, others where they differ for sure.
+    pub fn is_told(&self) -> bool {
+        self.measure.is_first() || self.is_improved || self.is_worse()
+    }
+
+    fn is_worse(&self) -> bool {
+        self.n_event >= PairedDifference::FEWEST && self.ci95.is_some_and(|[low, _]| low > 0.0)
+    }
+
     /// What the difference allows to say, for people.
     pub fn claim(&self) -> String {
         let Self { measure, from, to, n_event, .. } = self;
@@ -239,7 +252,7 @@ impl Change {
         } else if *n_event < PairedDifference::FEWEST {
             let needed = PairedDifference::FEWEST;
             format!("{what}: nothing is claimed of {to} against {from}, that takes {needed} held-out events: {numbers}")
-        } else if self.ci95.is_some_and(|[low, _]| low > 0.0) {
+        } else if self.is_worse() {
             format!("{what}: {to} is worse than {from}: {numbers}")
         } else {
             format!("{what}: no improvement of {to} on {from} can be claimed: {numbers}")

@@ -1,6 +1,6 @@
 //! Shear builds up less or more pore pressure than the declared law says.
 
-use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
+use super::{Catalogue, Class, Effect, Entry, Free, Instance, Laws, Parameter, Scale, Situation, layers};
 use crate::column::Profile;
 use crate::error::Result;
 use crate::registry;
@@ -82,8 +82,9 @@ impl Contractancy {
 }
 
 impl Effect for Contractancy {
-    fn refusal(&self, profile: &Profile) -> Option<String> {
-        layers::refusal(profile, self.top_m, self.bottom_m, &LAWS_THAT_CONTRACT, "a contraction of its own")
+    fn laws(&self) -> Option<Laws> {
+        let Self { top_m, bottom_m, .. } = *self;
+        Some(Laws { kinds: LAWS_THAT_CONTRACT.to_vec(), what: "a contraction of its own", top_m, bottom_m })
     }
 
     fn edit(&self, profile: &mut Profile, _: &Situation) {

@@ -1,6 +1,6 @@
 //! Modulus and damping curves of another shape than declared.
 
-use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
+use super::{Catalogue, Class, Effect, Entry, Free, Instance, Laws, Parameter, Scale, Situation, layers};
 use crate::column::Profile;
 use crate::error::Result;
 use crate::registry;
@@ -109,8 +109,9 @@ impl CurveShape {
 }
 
 impl Effect for CurveShape {
-    fn refusal(&self, profile: &Profile) -> Option<String> {
-        layers::refusal(profile, self.top_m, self.bottom_m, &LAWS_WITH_CURVES, "curves of a declared shape")
+    fn laws(&self) -> Option<Laws> {
+        let Self { top_m, bottom_m, .. } = *self;
+        Some(Laws { kinds: LAWS_WITH_CURVES.to_vec(), what: "curves of a declared shape", top_m, bottom_m })
     }
 
     fn edit(&self, profile: &mut Profile, _: &Situation) {

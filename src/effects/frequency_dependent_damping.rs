@@ -74,12 +74,30 @@ const EXPONENT: f64 = 0.6;
 /// Laws whose small-strain damping is memory of their stress, ξ₀ (f/f_r)ⁿ.
 const LAWS_WITH_MEMORY: [&str; 2] = ["elastic", "hyperbolic"];
 
-/// Each coefficient for the whole column; the exponent where there is small-strain damping that has one. Where Rayleigh damping meets its
-/// ratios is a choice of a program and no effect of a site.
+/// Each coefficient for the whole column; the exponent where there is small-strain damping that has one, also for each range that the
+/// records can tell apart. Where Rayleigh damping meets its ratios is a choice of a program and no effect of a site.
 fn instances(array: &Array) -> Vec<Instance> {
-    let has_exponent = array.profile.layers.iter().any(has_memory);
-    let offered = PARAMETERS.iter().filter(|p| p.name != "ln_shift" && (p.name != "exponent" || has_exponent));
-    offered.map(|p| Instance::new(ENTRY.name, [], vec![Free::new(p, 0.0)])).collect()
+    let of = |p: &'static Parameter, range: Option<[f64; 2]>| {
+        let free = vec![Free::new(p, 0.0)];
+        match range {
+            Some([top, bottom]) => {
+                Instance::new(ENTRY.name, [("top_m", top.into()), ("bottom_m", bottom.into())], free)
+            }
+            None => Instance::new(ENTRY.name, [], free),
+        }
+    };
+    let has_exponent = |[top_m, bottom_m]: [f64; 2]| {
+        layers::between(&mut array.profile.clone(), top_m, bottom_m).any(|layer| has_memory(layer))
+    };
+    let depth_m = array.profile.depth_m();
+    let is_part = |[top_m, bottom_m]: &[f64; 2]| *top_m > 0.0 || *bottom_m < depth_m;
+    let parts = layers::ranges_m(array).into_iter().filter(is_part).filter(|range| has_exponent(*range));
+    let ranges_of = |p: &Parameter| match p.name {
+        "exponent" if has_exponent([0.0, depth_m]) => std::iter::once(None).chain(parts.clone().map(Some)).collect(),
+        "exponent" | "ln_shift" => Vec::new(),
+        _ => vec![None],
+    };
+    PARAMETERS.iter().flat_map(|p| ranges_of(p).into_iter().map(move |range| of(p, range))).collect()
 }
 
 /// Whether the layer's small-strain damping can depend on frequency: it is memory, and not declared to be none.
@@ -110,7 +128,8 @@ fn has_memory(layer: &Layer) -> bool {
 ///
 /// b is β by another name: the damping ratio it adds at f_r.
 ///
-/// Limits: α, β and b are the same for every layer; m and n are refused where no layer in the range has such damping.
+/// Limits: α, β and b are the same for every layer; m and n are refused where no layer in the range has such damping, and `ln_shift` where
+/// the column has no Rayleigh damping.
 /// Check:  the column's transfer function with Rayleigh damping against the exact one; that of memory at its peaks.
 /// Source: Tao and Rathje (2019) on damping needed at four vertical arrays.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
@@ -159,6 +178,11 @@ impl FrequencyDependentDamping {
 
 impl Effect for FrequencyDependentDamping {
     fn refusal(&self, profile: &Profile) -> Option<String> {
+        let own = [self.alpha_1_s, self.beta_s, self.slope];
+        let declared = [profile.rayleigh.alpha_1_s, profile.rayleigh.beta_s];
+        if self.ln_shift != 0.0 && own.iter().chain(&declared).all(|c| *c == 0.0) {
+            return Some("`ln_shift` shifts Rayleigh damping, and the column has none".into());
+        }
         if self.exponent == 0.0 && self.ln_ratio == 0.0 {
             return None;
         }
@@ -208,6 +232,39 @@ mod tests {
         let shift = std::f64::consts::LN_2;
         let found = edited(&format!("alpha_1_s = {}\nbeta_s = {}\nln_shift = {shift}", from.alpha_1_s, from.beta_s));
         assert!((found.alpha_1_s - to.alpha_1_s).abs() < 1e-12 && (found.beta_s - to.beta_s).abs() < 1e-12);
+    }
+
+    #[test]
+    fn an_exponent_has_a_place_in_every_range_with_damping_of_its_own() {
+        let mut profile = layers::tests::profile("hyperbolic");
+        profile.layers[1] = Layer::plain("sanisand", 2.0, 1900.0, 150.0);
+        let places = |profile: &Profile, outputs: &[f64]| -> Vec<String> {
+            let array = Array {
+                profile: profile.clone(),
+                input: "base".into(),
+                outputs: outputs.iter().map(|z| format!("at {z} m")).collect(),
+                depths_m: outputs.to_vec(),
+                components: vec!["EW".into()],
+            };
+            let all = instances(&array).into_iter().filter(|i| i.free[0].parameter.name == "exponent");
+            all.map(|i| i.target.to_string().replace('\n', " ")).collect()
+        };
+        assert_eq!(places(&profile, &[0.0]).len(), 1);
+        assert_eq!(places(&profile, &[2.0, 0.0]), ["", "top_m = 0.0 bottom_m = 2.0 "]);
+        assert_eq!(places(&layers::tests::profile("hyperbolic"), &[2.0, 0.0]).len(), 3);
+        assert!(places(&layers::tests::profile("sanisand"), &[2.0, 0.0]).is_empty());
+    }
+
+    #[test]
+    fn a_shift_without_rayleigh_damping_is_refused() {
+        let refusal = |table: &str, profile: &Profile| {
+            (ENTRY.build)(table.parse().expect("TOML")).expect("in range").refusal(profile)
+        };
+        let mut profile = layers::tests::profile("hyperbolic");
+        assert!(refusal("ln_shift = 0.5", &profile).is_some_and(|why| why.contains("ln_shift")));
+        assert_eq!(refusal("ln_shift = 0.5\nbeta_s = 0.001", &profile), None);
+        profile.rayleigh.beta_s = 0.001;
+        assert_eq!(refusal("ln_shift = 0.5", &profile), None);
     }
 
     #[test]

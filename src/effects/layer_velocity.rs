@@ -36,64 +36,13 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 
 /// Largest ln of a factor that a table may have.
 pub const LAYER_VELOCITY_LN: f64 = 1.5;
-/// Velocities of one group of layers differ by this factor from its first one's at most, in ln.
-const ALIKE_LN: f64 = 0.25;
-/// Groups that waves cross in a smaller share of the whole travel time are no places of their own.
-const LEAST_TRAVEL: f64 = 0.05;
-
-/// One instance between each two neighbouring sensors; where no sensor lies between base and surface, also one for each
-/// group of declared layers, since nothing else divides the column.
+/// One instance for each range of the column that the records can tell apart.
 fn instances(array: &Array) -> Vec<Instance> {
-    let between = |pair: &[f64]| {
-        let target = [("top_m", pair[0].into()), ("bottom_m", pair[1].into())];
+    let over = |[top_m, bottom_m]: [f64; 2]| {
+        let target = [("top_m", top_m.into()), ("bottom_m", bottom_m.into())];
         Instance::new(ENTRY.name, target, vec![Free::new(&PARAMETERS[0], 0.0)])
     };
-    let cuts = array.cuts_m();
-    let mut found: Vec<Instance> = cuts.windows(2).map(between).collect();
-    let groups = group_cuts_m(&array.profile);
-    if cuts.len() == 2 && groups.len() > 2 {
-        found.extend(groups.windows(2).map(between));
-    }
-    found
-}
-
-/// A stretch of neighbouring layers of about one velocity.
-struct Group {
-    bottom_m: f64,
-    travel_s: f64,
-    first_m_s: f64,
-}
-
-impl Group {
-    fn distance_ln(&self, other: &Self) -> f64 {
-        (self.first_m_s / other.first_m_s).ln().abs()
-    }
-}
-
-/// Depths that cut the column between groups of layers of about one velocity: 0, the boundaries, the base.
-fn group_cuts_m(profile: &Profile) -> Vec<f64> {
-    let mut groups: Vec<Group> = Vec::new();
-    let mut bottom_m = 0.0;
-    for layer in &profile.layers {
-        bottom_m += layer.thickness_m;
-        let own = Group { bottom_m, travel_s: layer.thickness_m / layer.vs_m_s, first_m_s: layer.vs_m_s };
-        match groups.last_mut().filter(|last| last.distance_ln(&own) <= ALIKE_LN) {
-            Some(last) => (last.bottom_m, last.travel_s) = (bottom_m, last.travel_s + own.travel_s),
-            None => groups.push(own),
-        }
-    }
-    let whole_s: f64 = groups.iter().map(|g| g.travel_s).sum();
-    while let Some(i) = groups.iter().position(|g| g.travel_s < LEAST_TRAVEL * whole_s && groups.len() > 1) {
-        // What is too quick to be seen goes with the neighbour that is more like it.
-        let distance =
-            |k: Option<usize>| k.and_then(|k| groups.get(k)).map_or(f64::INFINITY, |g| g.distance_ln(&groups[i]));
-        let is_upper = distance(i.checked_sub(1)) < distance(Some(i + 1));
-        let quick = groups.remove(i);
-        let neighbour = &mut groups[if is_upper { i - 1 } else { i }];
-        neighbour.travel_s += quick.travel_s;
-        neighbour.bottom_m = neighbour.bottom_m.max(quick.bottom_m);
-    }
-    std::iter::once(0.0).chain(groups.iter().map(|g| g.bottom_m)).collect()
+    layers::ranges_m(array).into_iter().map(over).collect()
 }
 
 /// Scales the shear-wave velocity of a depth range; layers are cut at its ends.

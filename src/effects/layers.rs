@@ -1,10 +1,68 @@
-//! Editing layers: cutting them at a depth, and numbers in a layer's law.
+//! Layers: the ranges of depth that records tell apart, cutting at a depth, and numbers in a layer's law.
 
+use super::Array;
 use crate::column::{Layer, Profile};
 use std::sync::Arc;
 
 /// Layers thinner than this are not made: a cut this close to a boundary is that boundary, m.
 const THINNEST_M: f64 = 0.02;
+
+/// Velocities of one group of layers differ by this factor from its first one's at most, in ln.
+const ALIKE_LN: f64 = 0.25;
+/// Groups that waves cross in a smaller share of the whole travel time are no places of their own.
+const LEAST_TRAVEL: f64 = 0.05;
+
+/// Ranges of depth, m, that records can tell apart: between each two neighbouring sensors; where no sensor lies between base and surface,
+/// also the groups of declared layers, since nothing else divides the column.
+pub(super) fn ranges_m(array: &Array) -> Vec<[f64; 2]> {
+    let cuts = array.cuts_m();
+    let between = |cuts: &[f64]| -> Vec<[f64; 2]> { cuts.windows(2).map(|pair| [pair[0], pair[1]]).collect() };
+    let mut found = between(&cuts);
+    let groups = group_cuts_m(&array.profile);
+    if cuts.len() == 2 && groups.len() > 2 {
+        found.extend(between(&groups));
+    }
+    found
+}
+
+/// A stretch of neighbouring layers of about one velocity.
+struct Group {
+    bottom_m: f64,
+    travel_s: f64,
+    first_m_s: f64,
+}
+
+impl Group {
+    fn distance_ln(&self, other: &Self) -> f64 {
+        (self.first_m_s / other.first_m_s).ln().abs()
+    }
+}
+
+/// Depths that cut the column between groups of layers of about one velocity: 0, the boundaries, the base.
+fn group_cuts_m(profile: &Profile) -> Vec<f64> {
+    let mut groups: Vec<Group> = Vec::new();
+    let mut bottom_m = 0.0;
+    for layer in &profile.layers {
+        bottom_m += layer.thickness_m;
+        let own = Group { bottom_m, travel_s: layer.thickness_m / layer.vs_m_s, first_m_s: layer.vs_m_s };
+        match groups.last_mut().filter(|last| last.distance_ln(&own) <= ALIKE_LN) {
+            Some(last) => (last.bottom_m, last.travel_s) = (bottom_m, last.travel_s + own.travel_s),
+            None => groups.push(own),
+        }
+    }
+    let whole_s: f64 = groups.iter().map(|g| g.travel_s).sum();
+    while let Some(i) = groups.iter().position(|g| g.travel_s < LEAST_TRAVEL * whole_s && groups.len() > 1) {
+        // What is too quick to be seen goes with the neighbour that is more like it.
+        let distance =
+            |k: Option<usize>| k.and_then(|k| groups.get(k)).map_or(f64::INFINITY, |g| g.distance_ln(&groups[i]));
+        let is_upper = distance(i.checked_sub(1)) < distance(Some(i + 1));
+        let quick = groups.remove(i);
+        let neighbour = &mut groups[if is_upper { i - 1 } else { i }];
+        neighbour.travel_s += quick.travel_s;
+        neighbour.bottom_m = neighbour.bottom_m.max(quick.bottom_m);
+    }
+    std::iter::once(0.0).chain(groups.iter().map(|g| g.bottom_m)).collect()
+}
 
 /// Makes a layer boundary at `depth_m`, unless there is one or it lies outside the column; a profile keeps its number of
 /// elements unless it would have fewer than layers.
@@ -36,16 +94,56 @@ pub(super) fn between(profile: &mut Profile, top_m: f64, bottom_m: f64) -> impl 
     })
 }
 
-/// Why an effect on laws of these `kinds` between two depths has nothing to act on; `what` names what the others lack.
-pub(super) fn refusal(profile: &Profile, top_m: f64, bottom_m: f64, kinds: &[&str], what: &str) -> Option<String> {
-    let mut depth = 0.0;
-    let is_met = profile.layers.iter().any(|layer| {
-        let top = depth;
-        depth += layer.thickness_m;
-        top < bottom_m && depth > top_m && kinds.contains(&layer.law_kind.as_str())
-    });
-    let range = format!("{top_m}…{} m", bottom_m.min(profile.depth_m()));
-    (!is_met).then(|| format!("no layer in {range} follows a law with {what} ({})", kinds.join(", ")))
+/// Laws that an effect acts on, in a range of depth.
+pub struct Laws {
+    /// Names of the laws.
+    pub kinds: Vec<&'static str>,
+    /// What they have and others lack.
+    pub what: &'static str,
+    /// Top of the range, m.
+    pub top_m: f64,
+    /// Bottom of the range, m.
+    pub bottom_m: f64,
+}
+
+impl Laws {
+    fn range(&self, profile: &Profile) -> String {
+        format!("{}…{} m", self.top_m, self.bottom_m.min(profile.depth_m()))
+    }
+
+    /// Laws of the layers in the range that it does not act on, and whether there are others.
+    fn others(&self, profile: &Profile) -> (Vec<String>, bool) {
+        let (mut depth, mut others, mut is_met) = (0.0, Vec::new(), false);
+        for layer in &profile.layers {
+            let top = depth;
+            depth += layer.thickness_m;
+            if top >= self.bottom_m || depth <= self.top_m {
+                continue;
+            }
+            if self.kinds.contains(&layer.law_kind.as_str()) {
+                is_met = true;
+            } else if !others.contains(&layer.law_kind) {
+                others.push(layer.law_kind.clone());
+            }
+        }
+        (others, is_met)
+    }
+
+    /// Why there is nothing to act on in `profile`, where that is so.
+    pub(super) fn refusal(&self, profile: &Profile) -> Option<String> {
+        let (what, kinds) = (self.what, self.kinds.join(", "));
+        let is_met = self.others(profile).1;
+        (!is_met).then(|| format!("no layer in {} follows a law with {what} ({kinds})", self.range(profile)))
+    }
+
+    /// Which layers of the range stay as they are, where there are such.
+    pub(super) fn left_alone(&self, profile: &Profile) -> Option<String> {
+        let (others, is_met) = self.others(profile);
+        (is_met && !others.is_empty()).then(|| {
+            let (range, others) = (self.range(profile), others.join(", "));
+            format!("in {range}, layers of {others} stay as they are: their law lacks {}", self.what)
+        })
+    }
 }
 
 /// A number of a layer's law, `default` where the law does not give it.
@@ -97,5 +195,16 @@ pub(super) mod tests {
         let picked: Vec<f64> = between(&mut p, 1.0, 2.5).map(|l| l.thickness_m).collect();
         assert_eq!(picked, [1.0, 0.5]);
         assert_eq!((p.depth_m(), p.elements), (4.0, 4));
+    }
+
+    #[test]
+    fn layers_that_an_effect_stops_short_of_are_told() {
+        let mut profile = profile("hyperbolic");
+        let laws = |top_m: f64| Laws { kinds: vec!["hyperbolic"], what: "a backbone", top_m, bottom_m: f64::INFINITY };
+        assert_eq!((laws(0.0).left_alone(&profile), laws(0.0).refusal(&profile)), (None, None));
+        profile.layers[1] = Layer::plain("elastic", 2.0, 1900.0, 150.0);
+        let told = laws(0.0).left_alone(&profile).unwrap();
+        assert_eq!(told, "in 0…4 m, layers of elastic stay as they are: their law lacks a backbone");
+        assert!(laws(2.0).left_alone(&profile).is_none() && laws(2.0).refusal(&profile).is_some());
     }
 }

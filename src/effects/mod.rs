@@ -45,6 +45,7 @@ mod water_table;
 
 pub use catalogue::{Array, Catalogue, Class, Free, Instance, Parameter, Scale, place};
 pub use layer_velocity::LAYER_VELOCITY_LN;
+pub use layers::Laws;
 pub use observation::{Channels, Direction, Recording, depth_m, observe, operator};
 pub use operator::{Operator, Place};
 pub use situation::Situation;
@@ -69,9 +70,14 @@ pub trait Effect: Send + Sync {
     /// Edits the set-up of the column.
     fn edit(&self, _profile: &mut Profile, _situation: &Situation) {}
 
-    /// Why it has nothing to act on in `profile`, where that is so.
-    fn refusal(&self, _profile: &Profile) -> Option<String> {
+    /// The laws that it acts on, where it does not act on every law.
+    fn laws(&self) -> Option<Laws> {
         None
+    }
+
+    /// Why it has nothing to act on in `profile`, where that is so.
+    fn refusal(&self, profile: &Profile) -> Option<String> {
+        self.laws()?.refusal(profile)
     }
 
     /// The depth at which `sensor` really sits when it is declared at `depth_m`.
@@ -259,6 +265,15 @@ pub fn check(tables: &[toml::Table], array: &Array) -> Result<()> {
         effect.edit(&mut profile, &Situation::default());
     }
     Ok(())
+}
+
+/// Which layers of `profile` the effects of `tables` stop short of, in sentences.
+pub fn left_alone(tables: &[toml::Table], profile: &Profile) -> Vec<String> {
+    let of = |table: &toml::Table| {
+        let kind = table.get("kind")?.as_str()?;
+        Some(format!("`{kind}`: {}.", build(table).ok()?.laws()?.left_alone(profile)?))
+    };
+    tables.iter().filter_map(of).collect()
 }
 
 /// `tables` without those that have nothing to act on in `profile`: what a diagnosis recalibrates is asked of every column.

@@ -1,6 +1,6 @@
 //! Soil that softens at smaller or larger strains than declared.
 
-use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
+use super::{Catalogue, Class, Effect, Entry, Free, Instance, Laws, Parameter, Scale, Situation, layers};
 use crate::column::Profile;
 use crate::error::Result;
 use crate::registry;
@@ -86,8 +86,9 @@ impl Nonlinearity {
 }
 
 impl Effect for Nonlinearity {
-    fn refusal(&self, profile: &Profile) -> Option<String> {
-        layers::refusal(profile, self.top_m, self.bottom_m, &LAWS_WITH_STRENGTH, "a reference strain")
+    fn laws(&self) -> Option<Laws> {
+        let Self { top_m, bottom_m, .. } = *self;
+        Some(Laws { kinds: LAWS_WITH_STRENGTH.to_vec(), what: "a reference strain", top_m, bottom_m })
     }
 
     fn edit(&self, profile: &mut Profile, _: &Situation) {

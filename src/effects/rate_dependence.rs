@@ -1,6 +1,6 @@
 //! Strength that grows with the rate of strain.
 
-use super::{Catalogue, Class, Effect, Entry, Free, Instance, Parameter, Scale, Situation, layers};
+use super::{Catalogue, Class, Effect, Entry, Free, Instance, Laws, Parameter, Scale, Situation};
 use crate::column::{Profile, RateZone};
 use crate::error::Result;
 use crate::registry;
@@ -25,6 +25,9 @@ pub(super) const ENTRY: Entry = Entry {
         key: "the declared model clips the strongest and fastest motions too early",
     },
 };
+
+/// Laws with a strength.
+const LAWS_WITH_STRENGTH: [&str; 4] = ["hyperbolic", "mohr_coulomb", "cam_clay", "sanisand"];
 
 const PARAMETERS: &[Parameter] = &[Parameter {
     name: "per_log_cycle",
@@ -80,13 +83,11 @@ impl RateDependence {
 }
 
 impl Effect for RateDependence {
-    fn refusal(&self, profile: &Profile) -> Option<String> {
-        let with_strength = ["hyperbolic", "mohr_coulomb", "cam_clay", "sanisand"];
-        let kinds: Vec<&str> = self
-            .law
-            .as_deref()
-            .map_or(with_strength.to_vec(), |kind| with_strength.into_iter().filter(|k| *k == kind).collect());
-        layers::refusal(profile, self.top_m, self.bottom_m, &kinds, "a strength that grows")
+    fn laws(&self) -> Option<Laws> {
+        let Self { top_m, bottom_m, .. } = *self;
+        let is_meant = |kind: &&str| self.law.as_deref().is_none_or(|own| own == *kind);
+        let kinds = LAWS_WITH_STRENGTH.into_iter().filter(is_meant).collect();
+        Some(Laws { kinds, what: "a strength that grows", top_m, bottom_m })
     }
 
     fn edit(&self, profile: &mut Profile, _: &Situation) {

@@ -13,7 +13,7 @@ use crate::diagnosis::{
     Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, ToleranceAlarm,
     Verdict,
 };
-use crate::effects::Instance;
+use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
@@ -108,6 +108,10 @@ impl<'a> Answer<'_, 'a> {
         let range = answer.model.declared.len();
         let open =
             (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
+        let table = |i: usize| answer.model.effect_table(&answer.x, i);
+        let n_named = if is_named { answer.model.effects.len() } else { 0 };
+        let tables: Vec<toml::Table> = (0..n_named).map(table).collect();
+        let left_alone = effects::left_alone(&tables, &self.problem.array.profile);
         Diagnosis {
             verdict,
             effects: if is_named { self.found(answer) } else { Vec::new() },
@@ -117,7 +121,7 @@ impl<'a> Answer<'_, 'a> {
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
             tolerance_alarms: strained(answer),
-            notes: [rest.sentence()].into_iter().chain(open.into_iter().flatten()).collect(),
+            notes: [rest.sentence()].into_iter().chain(open.into_iter().flatten()).chain(left_alone).collect(),
             rest: Some(rest),
         }
     }
@@ -135,9 +139,10 @@ impl<'a> Answer<'_, 'a> {
                 index.map(|i| wanted.remove(i)).is_some()
             };
             let effects: Vec<Instance> = fit.model.effects.iter().filter(&mut is_wanted).cloned().collect();
-            wanted.is_empty().then_some(effects)
+            wanted.is_empty().then_some((self.competition.log_posterior(fit), effects))
         };
-        self.competition.best_of(|fit| of(fit).is_some()).and_then(of)
+        let all = self.competition.fits.iter().filter_map(of);
+        all.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, effects)| effects)
     }
 
     /// Models that were fitted, most probable first.

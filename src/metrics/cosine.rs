@@ -8,6 +8,7 @@
 ///
 /// Limits: blind to a common factor; NaN when an array is empty or all zero, or the lengths differ.
 /// Check:  `parallel_is_one_and_orthogonal_is_zero`.
+/// Source: definition.
 pub fn cosine_similarity(a: &[f64], b: &[f64]) -> f64 {
     if a.len() != b.len() {
         return f64::NAN;

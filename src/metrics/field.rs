@@ -16,11 +16,27 @@ pub enum Claimed {
     LnFourier,
     /// Root mean square of the ln ratio of response spectra: what a structure feels.
     LnPsa,
+    /// NRMSE within the frequencies in which the site is coherent, in percentage points.
+    CoherentNrmsePercent,
+    /// Size of the ln ratio of peak accelerations.
+    LnPga,
+    /// Size of the ln ratio of Arias intensities.
+    LnArias,
+    /// Size of the ln ratio of the times from 5 to 95 % of the Arias intensity.
+    LnDuration,
 }
 
 impl Claimed {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::NrmsePercent, Self::LnFourier, Self::LnPsa];
+    pub const ALL: [Self; 7] = [
+        Self::NrmsePercent,
+        Self::LnFourier,
+        Self::LnPsa,
+        Self::CoherentNrmsePercent,
+        Self::LnPga,
+        Self::LnArias,
+        Self::LnDuration,
+    ];
 
     /// For people.
     pub fn name(self) -> &'static str {
@@ -28,17 +44,30 @@ impl Claimed {
             Self::NrmsePercent => "NRMSE",
             Self::LnFourier => "ln Fourier amplitude error",
             Self::LnPsa => "ln PSA error",
+            Self::CoherentNrmsePercent => "NRMSE in the coherent band",
+            Self::LnPga => "ln PGA error",
+            Self::LnArias => "ln Arias intensity error",
+            Self::LnDuration => "ln duration error",
         }
     }
 
     /// Its unit, with a space before it; empty where there is none.
     pub fn unit(self) -> &'static str {
-        if self == Self::NrmsePercent { " points" } else { "" }
+        if self.is_percentage() { " points" } else { "" }
     }
 
     /// A value of it with as many digits as it deserves.
     pub fn written(self, value: f64) -> String {
-        if self == Self::NrmsePercent { format!("{value:+.1}") } else { format!("{value:+.3}") }
+        if self.is_percentage() { format!("{value:+.1}") } else { format!("{value:+.3}") }
+    }
+
+    /// Whether it is one of the three that every answer has: waveforms, amplitudes, and what a structure feels.
+    pub fn is_first(self) -> bool {
+        matches!(self, Self::NrmsePercent | Self::LnFourier | Self::LnPsa)
+    }
+
+    fn is_percentage(self) -> bool {
+        matches!(self, Self::NrmsePercent | Self::CoherentNrmsePercent)
     }
 }
 

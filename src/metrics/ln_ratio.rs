@@ -45,6 +45,8 @@ impl LnRatio {
     ///
     /// Limits: an ordinate counts only where both spectra are positive; a ratio of two noises counts as any other.
     /// Check:  `a_factor_is_all_bias_and_a_wave_all_scatter`.
+    /// Source: Kaklamanos, Bradley, Thompson and Baise (2013), Critical parameters affecting bias and variability in site-response
+    /// analyses, BSSA 103, 1733–1749: residuals of ln amplitudes.
     pub fn of(abscissae: &[f64], predicted: &[f64], observed: &[f64], bands: &Bands) -> Self {
         let ordinates: Vec<(f64, f64)> = abscissae
             .iter()

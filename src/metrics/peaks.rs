@@ -22,6 +22,7 @@ pub fn peak(x: &[f64]) -> f64 {
 ///
 /// Limits: what moves more slowly than 10 s is taken for drift.
 /// Check:  `the_velocity_of_a_wave_packet_is_that_of_its_integral`.
+/// Source: Boore and Bommer (2005), Processing of strong-motion accelerograms, SDEE 25, 93–115, for the corner against drift.
 pub fn peak_velocity_m_s(x: &[f64], dt_s: f64) -> f64 {
     let steady = filter::zero_phase(x, dt_s, |f| {
         let ratio = (f / DRIFT_HZ).powi(8);

@@ -8,6 +8,7 @@
 ///
 /// Limits: 1 is perfect, 0 what the mean gets, negative is worse than the mean; NaN for a constant or empty observation.
 /// Check:  `the_mean_scores_zero_and_the_truth_one`.
+/// Source: Nash and Sutcliffe (1970), River flow forecasting through conceptual models, J. Hydrol. 10, 282–290, eq. 3.
 pub fn r2(pred: &[f64], obs: &[f64]) -> f64 {
     r2_pooled(&[(pred, obs)])
 }

@@ -150,7 +150,7 @@ fn changes(closing: &Closing) -> Markup {
                 li { "Simulations as declared, calibration alone on the corrected site: median " (number::fixed(ablation, 1)) " %" }
             }
         }
-        p.soft { "Mean of paired differences, an event counting once, with its 95 % interval after Student and the exact sign test; “improved” only where the whole interval lies below zero, measure by measure, and never from fewer than three events." }
+        p.soft { "Mean of paired differences, an event counting once, with its 95 % interval after Student and the exact sign test; “improved” only where the whole interval lies below zero, measure by measure, and never from fewer than three events. Measures beside waveforms, amplitudes and response spectra are listed where they differ for sure." }
     }
 }
 
@@ -177,10 +177,11 @@ pub(super) fn claim(change: &Change) -> Markup {
         number::fixed(change.sign_test_p, 2)
     );
     let is_enough = change.n_event >= PairedDifference::FEWEST;
+    let is_worse = change.ci95.is_some_and(|[low, _]| low > 0.0);
     html! {
         li {
             (name(&change.from)) " → " (name(&change.to)) ": " (numbers) " – "
-            @if change.is_improved { b { "improved" } } @else if is_enough { "no improvement can be claimed" }
+            @if change.is_improved { b { "improved" } } @else if is_enough && is_worse { b { "worse" } } @else if is_enough { "no improvement can be claimed" }
             @else { "too few events for any claim" }
         }
     }

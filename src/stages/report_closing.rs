@@ -63,7 +63,7 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
             .collect(),
         errors: errors.collect(),
         ablation_percent: summary.test_median_ablation_percent,
-        changes: summary.changes.iter().map(change).collect(),
+        changes: summary.changes.iter().filter(|c| c.is_told()).map(change).collect(),
         field: field(summary),
         transfer: transfer(summary),
         out_of_tolerance: alarms.map(|a| (a.what.clone(), a.deviations, interval(&a.estimate))).collect(),
