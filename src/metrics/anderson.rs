@@ -41,7 +41,7 @@ const FEWEST_PERIODS: f64 = 2.0;
 /// Limits: a band counts where it lies within the band asked for and below the Nyquist frequency, and where the histories hold two of its
 /// longest periods; the last band is cut to what is asked for. The spectra of (4) are those of the whole history, of 5 % damping and
 /// smoothed after Konno and Ohmachi; the source takes those of the filtered one.
-/// Check:  `the_same_scores_ten`, `a_factor_two_costs_what_the_formulas_say`.
+/// Check:  `criteria_are_those_of_the_broadband_platform`, `the_same_scores_ten`, `a_factor_two_costs_what_the_formulas_say`.
 /// Source: Anderson (2004), Quantitative measure of the goodness-of-fit of synthetic seismograms, 13th World Conf. Earthq. Eng., 243.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Anderson {
@@ -181,6 +181,40 @@ mod tests {
     fn score(predicted: &[f64], observed: &[f64]) -> Anderson {
         let [p, a] = [predicted, observed].map(|x| History::new(x, DT_S, BAND_HZ));
         Anderson::of(&p, &a).expect("bands that count")
+    }
+
+    /// `python tests/metrics/vectors.py` with `BBP_COMPS`: `anderson_gof` of the Broadband Platform of SCEC, on histories that no band
+    /// filters. Its sums are of rectangles and its C10 is Simpson's, which makes differences of 1e-5.
+    #[test]
+    fn criteria_are_those_of_the_broadband_platform() {
+        let scored = |x: &[f64], spectrum: [f64; 3]| {
+            let velocity = integrate::cumulative(x, DT_S);
+            let displacement = integrate::cumulative(&velocity, DT_S);
+            Scored {
+                energy: Energy::of([x, &velocity], DT_S),
+                peaks: [peak(x), peak(&velocity), peak(&displacement)],
+                psa: spectrum.to_vec(),
+                fourier: spectrum.to_vec(),
+                acceleration: x.to_vec(),
+            }
+        };
+        let [p, a] = [scored(&predicted(), [1.0, 2.0, 4.0]), scored(&observed(), [1.1, 1.5, 4.0])];
+        let expected = [
+            9.355100859,
+            9.803650542,
+            8.941756167,
+            8.303642286,
+            9.985311404,
+            9.696525411,
+            9.614556985,
+            9.616297169,
+            9.616297169,
+            9.383287090,
+        ];
+        for (c, (found, expected)) in p.criteria(&a).into_iter().zip(expected).enumerate() {
+            println!("C{}: {found:.9} {expected}", c + 1);
+            assert!((found - expected).abs() < 1e-3, "C{}: {found} {expected}", c + 1);
+        }
     }
 
     #[test]

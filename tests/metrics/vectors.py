@@ -1,8 +1,14 @@
 """Prints the numbers that the tests of src/metrics hold, from published implementations.
 
     pip install obspy==1.5.1 eqsig==1.2.17 pyrotd==0.6.1 scipy && python tests/metrics/vectors.py
+
+Anderson's criteria are those of the Broadband Platform of SCEC (github.com/SCECcode/bbp): with its folder bbp/comps in BBP_COMPS
+they are printed too. Its plots and configuration are not needed.
 """
+import os
+import sys
 import warnings
+from unittest.mock import MagicMock
 
 import numpy as np
 
@@ -47,3 +53,22 @@ print("t quantiles 0.975", [float(stats.t.ppf(0.975, n)) for n in (1, 2, 3, 8, 3
 d = [-3.0, -1.0, -4.0, -2.5, 0.5]
 print("t interval", stats.t.interval(0.95, 4, np.mean(d), stats.sem(d)), "sign", stats.binomtest(1, 5).pvalue)
 print("Pearson", stats.pearsonr(observed, predicted)[0])
+
+if "BBP_COMPS" in os.environ:
+    for name in ("matplotlib", "matplotlib.pyplot", "pylab", "bband_utils", "plot_config", "install_cfg", "station_list"):
+        sys.modules[name] = MagicMock()
+    sys.path.insert(0, os.environ["BBP_COMPS"])
+    from anderson_gof import AndersonGOF
+
+    gof = AndersonGOF(None, "", 0)
+    gof.dt = DT
+    pair = (predicted, observed)
+    velocity = [cumulative_trapezoid(x, dx=DT, initial=0) for x in pair]
+    displacement = [cumulative_trapezoid(x, dx=DT, initial=0) for x in velocity]
+    c1, c3 = gof.c13_eval(*pair)
+    c2, c4 = gof.c24_eval(*velocity)
+    # It takes the largest value for the peak, this program the largest size.
+    peaks = [f(*map(np.abs, x)) for f, x in ((gof.c5_eval, pair), (gof.c6_eval, velocity), (gof.c7_eval, displacement))]
+    spectra = [1.0, 2.0, 4.0], [1.1, 1.5, 4.0]
+    c8, c9 = gof.c8_eval(*spectra, spectra[0]), gof.c9_eval(*spectra, spectra[0])
+    print("Anderson", [float(c) for c in (c1, c2, c3, c4, *peaks, c8, c9, gof.c10_eval(*pair))])
