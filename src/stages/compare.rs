@@ -101,7 +101,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        7
+        8
     }
 
     fn reads(&self) -> &'static [&'static str] {
