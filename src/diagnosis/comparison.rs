@@ -199,6 +199,26 @@ impl Summary {
     }
 }
 
+/// Which held-out records a prediction lacks that others have, in sentences: medians and claims are then of other records.
+pub fn missing(rows: &[ErrorRow]) -> Vec<String> {
+    let tests = || rows.iter().filter(|row| row.split == Split::Test);
+    let predictions = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
+    let of = |model: &str| {
+        let has = |row: &&ErrorRow| of_model(&row.nrmse_percent, model).is_some();
+        let mut lacking: Vec<String> =
+            tests().filter(|row| !has(row)).map(|r| format!("{} {}", r.event, r.component)).collect();
+        lacking.dedup();
+        let is_there = tests().any(|row| has(&row));
+        (is_there && !lacking.is_empty()).then(|| {
+            format!(
+                "`{model}` predicts nothing of {}: its medians are of the other held-out records.",
+                lacking.join(", ")
+            )
+        })
+    };
+    predictions.into_iter().filter_map(of).collect()
+}
+
 /// The field's measures of each model over `rows`.
 fn measures(rows: &[&ErrorRow]) -> BTreeMap<String, FieldSummary> {
     let mut models: Vec<&String> = rows.iter().flat_map(|row| row.measures.keys()).collect();
@@ -352,6 +372,19 @@ mod tests {
         assert!(of(Claimed::LnPsa).is_none());
         assert!((found.test_measures["corrected"].ln_fourier_by_hz.rms.unwrap() - 0.315).abs() < 1e-3);
         assert!(!found.test_measures.contains_key("flare_after"));
+    }
+
+    #[test]
+    fn a_record_that_a_prediction_lacks_is_told() {
+        let rows = [
+            row("A", Split::Test, 30.0, Some(20.0)),
+            row("B", Split::Test, 30.0, None),
+            row("B", Split::Test, 30.0, None),
+            row("C", Split::Train, 30.0, None),
+        ];
+        let told = missing(&rows);
+        assert_eq!(told, ["`corrected` predicts nothing of B EW: its medians are of the other held-out records."]);
+        assert!(missing(&rows[..1]).is_empty());
     }
 
     #[test]
