@@ -23,13 +23,14 @@ pub fn check(arguments: &SiteArguments) -> Result<()> {
         site.motions.count,
         site.records.as_ref().map_or(0, |r| r.events().count()),
     );
-    let column = Column::new(&site.column().profile()?, &site.analysis)?;
+    let profile = site.column().profile()?;
+    let column = Column::new(&profile, &site.analysis)?;
     eprintln!("  frequency from the travel time of shear waves: {:.2} Hz", column.frequency_hz());
     let moduli = column.shear_modulus_pa();
     let range = |values: &[f64]| values.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
     let (least, largest) = range(&moduli);
     eprintln!("  small-strain shear modulus: {:.1}–{:.1} MPa", least / 1e6, largest / 1e6);
-    for sentence in effects::left_alone(&site.effects, &site.column().profile()?) {
+    for sentence in effects::left_alone(&site.effects, &profile) {
         eprintln!("  {sentence}");
     }
     Ok(())

@@ -200,7 +200,7 @@ impl Summary {
 }
 
 /// Which held-out records a prediction lacks that others have, in sentences: medians and claims are then of other records.
-pub fn missing(rows: &[ErrorRow]) -> Vec<String> {
+pub fn missing_predictions(rows: &[ErrorRow]) -> Vec<String> {
     let tests = || rows.iter().filter(|row| row.split == Split::Test);
     let predictions = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
     let of = |model: &str| {
@@ -253,7 +253,7 @@ impl Change {
     }
 
     fn is_worse(&self) -> bool {
-        self.n_event >= PairedDifference::FEWEST && self.ci95.is_some_and(|[low, _]| low > 0.0)
+        PairedDifference::is_above_zero(self.ci95, self.n_event)
     }
 
     /// What the difference allows to say, for people.
@@ -382,9 +382,9 @@ mod tests {
             row("B", Split::Test, 30.0, None),
             row("C", Split::Train, 30.0, None),
         ];
-        let told = missing(&rows);
+        let told = missing_predictions(&rows);
         assert_eq!(told, ["`corrected` predicts nothing of B EW: its medians are of the other held-out records."]);
-        assert!(missing(&rows[..1]).is_empty());
+        assert!(missing_predictions(&rows[..1]).is_empty());
     }
 
     #[test]

@@ -11,7 +11,7 @@ mod settings;
 pub(crate) mod spectra;
 mod tolerances;
 
-pub use comparison::{Change, ErrorRow, Six, Summary, missing};
+pub use comparison::{Change, ErrorRow, Six, Summary, missing_predictions};
 pub use floor::noise_deviation_m_s2;
 pub use generic::{GenericCorrection, Pair, fit as fit_generic};
 pub use noise::{USUAL_SHARE, denoised, noise};

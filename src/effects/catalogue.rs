@@ -194,6 +194,11 @@ impl Instance {
         Self { kind, target: target.into_iter().map(|(k, v)| (k.to_string(), v)).collect(), free }
     }
 
+    /// One of `kind` between two depths, m.
+    pub fn between(kind: &'static str, [top_m, bottom_m]: [f64; 2], free: Vec<Free>) -> Self {
+        Self::new(kind, [("top_m", top_m.into()), ("bottom_m", bottom_m.into())], free)
+    }
+
     /// Whether it is the same kind at the same place.
     pub fn is_same(&self, other: &Self) -> bool {
         self.kind == other.kind && self.target == other.target

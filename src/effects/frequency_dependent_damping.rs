@@ -80,15 +80,11 @@ fn instances(array: &Array) -> Vec<Instance> {
     let of = |p: &'static Parameter, range: Option<[f64; 2]>| {
         let free = vec![Free::new(p, 0.0)];
         match range {
-            Some([top, bottom]) => {
-                Instance::new(ENTRY.name, [("top_m", top.into()), ("bottom_m", bottom.into())], free)
-            }
+            Some(range) => Instance::between(ENTRY.name, range, free),
             None => Instance::new(ENTRY.name, [], free),
         }
     };
-    let has_exponent = |[top_m, bottom_m]: [f64; 2]| {
-        layers::between(&mut array.profile.clone(), top_m, bottom_m).any(|layer| has_memory(layer))
-    };
+    let has_exponent = |range: [f64; 2]| has_memory_between(&array.profile, range);
     let depth_m = array.profile.depth_m();
     let is_part = |[top_m, bottom_m]: &[f64; 2]| *top_m > 0.0 || *bottom_m < depth_m;
     let parts = layers::ranges_m(array).into_iter().filter(is_part).filter(|range| has_exponent(*range));
@@ -104,6 +100,11 @@ fn instances(array: &Array) -> Vec<Instance> {
 fn has_memory(layer: &Layer) -> bool {
     let undeclared = if layer.law_kind == "hyperbolic" { f64::MIN_POSITIVE } else { 0.0 };
     LAWS_WITH_MEMORY.contains(&layer.law_kind.as_str()) && layers::number(layer, "damping_ratio", undeclared) > 0.0
+}
+
+/// Whether a layer between two depths, m, has such damping.
+fn has_memory_between(profile: &Profile, [top_m, bottom_m]: [f64; 2]) -> bool {
+    layers::between(&mut profile.clone(), top_m, bottom_m).any(|layer| has_memory(layer))
 }
 
 /// Adds Rayleigh damping to the column, and makes the small-strain damping of a depth range a power of the frequency.
@@ -186,8 +187,7 @@ impl Effect for FrequencyDependentDamping {
         if self.exponent == 0.0 && self.ln_ratio == 0.0 {
             return None;
         }
-        let mut profile = profile.clone();
-        let is_met = layers::between(&mut profile, self.top_m, self.bottom_m).any(|layer| has_memory(layer));
+        let is_met = has_memory_between(profile, [self.top_m, self.bottom_m]);
         let what = "no layer there has small-strain damping that can be a power of the frequency";
         (!is_met).then(|| format!("{what} (law {}, `damping_ratio` not 0)", LAWS_WITH_MEMORY.join(" or ")))
     }

@@ -36,12 +36,10 @@ const PARAMETERS: &[Parameter] = &[Parameter {
 
 /// Largest ln of a factor that a table may have.
 pub const LAYER_VELOCITY_LN: f64 = 1.5;
+
 /// One instance for each range of the column that the records can tell apart.
 fn instances(array: &Array) -> Vec<Instance> {
-    let over = |[top_m, bottom_m]: [f64; 2]| {
-        let target = [("top_m", top_m.into()), ("bottom_m", bottom_m.into())];
-        Instance::new(ENTRY.name, target, vec![Free::new(&PARAMETERS[0], 0.0)])
-    };
+    let over = |range| Instance::between(ENTRY.name, range, vec![Free::new(&PARAMETERS[0], 0.0)]);
     layers::ranges_m(array).into_iter().map(over).collect()
 }
 

@@ -140,8 +140,8 @@ impl Laws {
     pub(super) fn left_alone(&self, profile: &Profile) -> Option<String> {
         let (others, is_met) = self.others(profile);
         (is_met && !others.is_empty()).then(|| {
-            let (range, others) = (self.range(profile), others.join(", "));
-            format!("in {range}, layers of {others} stay as they are: their law lacks {}", self.what)
+            let (range, others, kinds) = (self.range(profile), others.join(", "), self.kinds.join(", "));
+            format!("in {range}, layers of {others} stay as they are: it acts on {} ({kinds})", self.what)
         })
     }
 }
@@ -204,7 +204,7 @@ pub(super) mod tests {
         assert_eq!((laws(0.0).left_alone(&profile), laws(0.0).refusal(&profile)), (None, None));
         profile.layers[1] = Layer::plain("elastic", 2.0, 1900.0, 150.0);
         let told = laws(0.0).left_alone(&profile).unwrap();
-        assert_eq!(told, "in 0…4 m, layers of elastic stay as they are: their law lacks a backbone");
+        assert_eq!(told, "in 0…4 m, layers of elastic stay as they are: it acts on a backbone (hyperbolic)");
         assert!(laws(2.0).left_alone(&profile).is_none() && laws(2.0).refusal(&profile).is_some());
     }
 }

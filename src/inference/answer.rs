@@ -108,13 +108,12 @@ impl<'a> Answer<'_, 'a> {
         let range = answer.model.declared.len();
         let open =
             (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
-        let table = |i: usize| answer.model.effect_table(&answer.x, i);
-        let n_named = if is_named { answer.model.effects.len() } else { 0 };
-        let tables: Vec<toml::Table> = (0..n_named).map(table).collect();
+        let effects = if is_named { self.found(answer) } else { Vec::new() };
+        let tables: Vec<toml::Table> = effects.iter().map(|found| found.table.clone()).collect();
         let left_alone = effects::left_alone(&tables, &self.problem.array.profile);
         Diagnosis {
             verdict,
-            effects: if is_named { self.found(answer) } else { Vec::new() },
+            effects,
             ambiguity,
             nuisances: plain.model.declared.tables(&plain.x),
             corrected_nuisances: answer.model.declared.tables(&answer.x[..range]),

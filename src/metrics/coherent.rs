@@ -20,7 +20,7 @@ pub const COHERENT: f64 = 0.7;
 ///
 /// Limits: NaN where the band holds nothing of the record; by Parseval the full band gives the NRMSE of the series.
 /// Check:  `only_coherent_frequencies_count`, `the_full_band_is_the_nrmse_of_the_series`.
-/// Source: definition; over all frequencies it is the NRMSE of the series by Parseval.
+/// Source: definition.
 pub fn coherent_nrmse_percent(pred: &[f64], obs: &[f64], dt_s: f64, coherence: Option<&[[f64; 2]]>) -> f64 {
     over_band(pred, obs, dt_s, |f_hz| {
         let counts = coherence.is_none_or(|c| at(c, f_hz) >= COHERENT);

@@ -50,6 +50,11 @@ impl PairedDifference {
     pub fn is_below_zero(&self) -> bool {
         self.n >= Self::FEWEST && self.ci95.is_some_and(|[_, high]| high < 0.0)
     }
+
+    /// Whether the interval `ci95` of `n` differences lies above zero, with three events or more behind it.
+    pub fn is_above_zero(ci95: Option<[f64; 2]>, n: usize) -> bool {
+        n >= Self::FEWEST && ci95.is_some_and(|[low, _]| low > 0.0)
+    }
 }
 
 fn sign_test(differences: &[f64]) -> f64 {

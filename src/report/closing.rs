@@ -177,11 +177,11 @@ pub(super) fn claim(change: &Change) -> Markup {
         number::fixed(change.sign_test_p, 2)
     );
     let is_enough = change.n_event >= PairedDifference::FEWEST;
-    let is_worse = change.ci95.is_some_and(|[low, _]| low > 0.0);
+    let is_worse = PairedDifference::is_above_zero(change.ci95, change.n_event);
     html! {
         li {
             (name(&change.from)) " → " (name(&change.to)) ": " (numbers) " – "
-            @if change.is_improved { b { "improved" } } @else if is_enough && is_worse { b { "worse" } } @else if is_enough { "no improvement can be claimed" }
+            @if change.is_improved { b { "improved" } } @else if is_worse { b { "worse" } } @else if is_enough { "no improvement can be claimed" }
             @else { "too few events for any claim" }
         }
     }

@@ -147,7 +147,7 @@ impl Stage for Compare {
         let (errors, transfer) = judged(&beside, &coherence(&diagnosis), band_hz[0]);
         let summary = Summary::of(&errors, &ablation, transfer);
         let mut notes = diagnosis.notes.clone();
-        notes.extend(diagnosis::missing(&errors));
+        notes.extend(diagnosis::missing_predictions(&errors));
         notes.extend(summary.changes.iter().filter(|change| change.is_told()).map(Change::claim));
         let mut generic = None;
         if is_unknown {
