@@ -109,6 +109,9 @@ pub struct Rest {
     pub place: BTreeMap<String, Vec<[f64; 3]>>,
     /// Error of the column over the declared one, at least 1.
     pub level: f64,
+    /// Share of what does not follow the base that is of another origin and comes on top of the column's motion, 0 to 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub of_another_origin: Option<Estimate>,
 }
 
 impl Rest {
@@ -119,11 +122,17 @@ impl Rest {
             RestVerdict::Noise => {
                 "What remains is no more than noise of the sensors and the declared error of the column.".into()
             }
-            RestVerdict::Incoherent => format!(
-                "What remains, {} of the power of the records, does not follow the base in the same way in all events: no correction of the \
-                 site removes it.",
-                percent(self.share)
-            ),
+            RestVerdict::Incoherent => {
+                let added = self.of_another_origin.as_ref().map_or_else(String::new, |added| {
+                    let [value, low, high] = [added.value, added.ci95[0], added.ci95[1]].map(|v| 100.0 * v);
+                    format!(" Of it, {value:.0} % [{low:.0}, {high:.0}] comes on top of what the column passes on, from another origin.")
+                });
+                format!(
+                    "What remains, {} of the power of the records, does not follow the base in the same way in all events: no correction of \
+                     the site removes it.{added}",
+                    percent(self.share)
+                )
+            }
             RestVerdict::Unnamed => format!(
                 "What remains has a part that is the same in all events and has no name: {} of the power of the records, {:.1} times the \
                  error that the column is declared to have (`tolerances.model`).",

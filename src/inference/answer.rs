@@ -255,6 +255,7 @@ impl<'a> Answer<'_, 'a> {
             coherence: coherence.collect(),
             place: outputs.iter().enumerate().map(|(s, name)| (name.clone(), spread.by_band(s))).collect(),
             level,
+            of_another_origin: Some(of_another_origin(fit)),
         }
     }
 
@@ -329,6 +330,14 @@ fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
     let mut kinds: Vec<&'static str> = fit.model.effects.iter().filter(|e| e.is_named()).map(|e| e.kind).collect();
     kinds.sort_unstable();
     kinds
+}
+
+/// Share of what strays that is of another origin.
+fn of_another_origin(fit: &Fit<'_>) -> Estimate {
+    let at = fit.model.declared.added();
+    let half = NORMAL * fit.covariance().map_or(1.0, |c| c[(at, at)].sqrt());
+    let value = fit.x[at];
+    Estimate { value, unit: String::new(), ci95: [value - half, value + half].map(|end| end.clamp(0.0, 1.0)) }
 }
 
 /// Tolerances of other things than velocities at whose end the records put the declared value.

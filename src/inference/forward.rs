@@ -34,6 +34,8 @@ pub struct Predicted {
     pub measured: Bins,
     /// The channel on which each sensor was recorded, the input sensor first.
     pub channels: Vec<usize>,
+    /// Share of the power that strays from the base which is of another origin and comes on top of the column's motion.
+    pub added_share: f64,
 }
 
 /// A prediction of every record, group by group.
@@ -317,6 +319,7 @@ impl<'a> Forward<'a> {
             base,
             measured: sources[1..].iter().map(|channel| channels[*channel].clone()).collect(),
             channels: sources.to_vec(),
+            added_share: 0.0,
         })
         .collect()
     }

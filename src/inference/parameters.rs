@@ -8,6 +8,7 @@
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
 //! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and all, [`rayleigh`] |
 //! | frequencies at which it meets the declared ratio | standard deviations | N(0, 1), [`SHIFT_LN`] |
+//! | share of what strays that is of another origin | –   | N(0, 1) between nothing and all                  |
 //! | a modulus without dispersion | standard deviations | N(0, 1) (`convention`)                             |
 //! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
@@ -176,12 +177,17 @@ impl Declared {
 
     /// Number of coordinates.
     pub fn len(&self) -> usize {
-        self.n_mode() + self.others.len() + self.conventions.len()
+        self.n_mode() + self.others.len() + 1 + self.conventions.len()
     }
 
     /// Strengths of the conventions at the coordinates `z`.
     pub fn convention_strengths<'z>(&self, z: &'z [f64]) -> &'z [f64] {
-        &z[self.n_mode() + self.others.len()..self.len()]
+        &z[self.added() + 1..self.len()]
+    }
+
+    /// Coordinate of the share of what strays that is of another origin.
+    pub fn added(&self) -> usize {
+        self.n_mode() + self.others.len()
     }
 
     /// ln of the factor on the velocity of each range at the coordinates `z`.
@@ -242,6 +248,9 @@ impl Declared {
 
     /// Smallest and largest value of coordinate `i`.
     fn bounds(&self, i: usize) -> [f64; 2] {
+        if i == self.added() {
+            return [0.0, 1.0];
+        }
         let other = i.checked_sub(self.n_mode()).and_then(|i| self.others.get(i));
         other.map_or([-FARTHEST, FARTHEST], |o| o.bounds)
     }

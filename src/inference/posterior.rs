@@ -137,6 +137,7 @@ impl<'a> Fitter<'a> {
     /// A prediction of the column alone with what the conventions of `model` at `x` add to it.
     fn with_conventions(mut prediction: Prediction, model: &Model<'_>, x: &[f64]) -> Prediction {
         convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
+        prediction.iter_mut().for_each(|p| p.added_share = x[model.declared.added()]);
         prediction
     }
 

@@ -4,7 +4,7 @@ use super::covariance::Covariance;
 use super::forward::{At, Bins, Forward, Predicted, Prediction};
 use crate::diagnosis::{NoiseSource, USUAL_SHARE, spectra};
 use crate::metrics::median;
-use crate::numerics::smooth::running_mean;
+use crate::numerics::smooth::{octave_mean, running_mean};
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::f64::consts::{LN_2, SQRT_2};
@@ -45,6 +45,10 @@ pub struct Spread {
     pub level: f64,
     /// Coherence of each output sensor with its prediction at the knots.
     pub coherence: Vec<Vec<f64>>,
+    /// Share of the power of each output sensor that strays, at the knots.
+    straying: Vec<Vec<f64>>,
+    /// Share of that which is of another origin.
+    added_share: f64,
     /// What all records share of the residual of each output sensor, by frequency.
     pub repeatable: Vec<Vec<Shared>>,
     /// Power of what elements and steps leave wrong of the motion of each output sensor, `[record][sensor][bin]`.
@@ -72,6 +76,8 @@ struct Band {
     weight: f64,
     /// Power of noise in it.
     noise: f64,
+    /// Power of what would stray in it, were all of that of another origin.
+    added: f64,
 }
 
 /// One bin of one sensor of one record, as moments are taken over it.
@@ -86,6 +92,7 @@ struct Bin {
     /// Power of the sensor's noise, and of that of the input sensor as the column passes it on with what elements and steps leave wrong.
     noise: f64,
     predicted_noise: f64,
+    added_share: f64,
 }
 
 /// Weights of one record.
@@ -99,8 +106,8 @@ struct Record {
 /// Residuals in units of what is expected of them.
 ///
 /// ```text
-/// Y | U ~ CN( C Ŷ, Σ ),   Σ = (I − C²) ⟨|Y|²⟩ + S_out + H S_in Hᴴ + E + D,   D = (σ m)² N ⟨|Y − U|²⟩    (1)
-/// ln A | U ~ N( ln Â, 1/4n + (σ m)² R ),   weighted by the share of (I − C²) ⟨|Y|²⟩ in Σ without D         (2)
+/// Y | U ~ CN( C Ŷ/√(1 − b(1 − C²)), Σ ),   Σ = (I − C²) ⟨|Y|²⟩ + S_out + H S_in Hᴴ + E + D,   D = (σ m)² N ⟨|Y − U|²⟩    (1)
+/// ln A | U ~ N( ½ ln(Â² + b(1 − C²) ⟨|Y|²⟩ₒ), 1/4n + (σ m)² R ),   weighted by the share of (I − C²) ⟨|Y|²⟩ in Σ without D  (2)
 /// ```
 ///
 /// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. E is what elements and
@@ -111,12 +118,19 @@ struct Record {
 /// direction of the N. Where the field strays from its base only amplitudes tell of the column: (2), A being the RMS amplitude of a band
 /// of n bins and R the number of records times that of the bands that share the error.
 ///
+/// A field that strays by scattering keeps its power at every frequency: of what was recorded, C² follows the base and 1 − C² does not.
+/// Motion of another origin, such as traffic or a second source, comes on top of that, with a spectrum of which is known only that it is
+/// smooth: ⟨ ⟩ₒ is a mean over an octave. b, from 0 to 1, is the share of what strays that is such motion, the same at all sensors and
+/// frequencies; it is estimated with the rest of a model, for a column that is to explain the whole recorded power takes up what another
+/// origin added as a gain or a lack of damping. What strays is taken to be independent from sensor to sensor.
+///
 /// Σ is made of what was recorded and does not change with the prediction. So a prediction gains nothing by shrinking, and models that
 /// are compared are compared by one Σ. Cross terms between sensors are those of noise of the base alone.
 ///
 /// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ; Kennedy and O'Hagan (2001),
 /// doi 10.1111/1467-9868.00294, for the error of the column.
-/// Check:  `damping_of_a_partly_coherent_field_is_found`, `levels_and_coherence_are_read_off_records`.
+/// Check:  `damping_of_a_partly_coherent_field_is_found`, `motion_of_another_origin_is_no_lack_of_damping`,
+///         `levels_and_coherence_are_read_off_records`.
 pub struct Weights {
     records: Vec<Record>,
     /// Records that each of these stands for.
@@ -157,6 +171,11 @@ fn hat(frequency_hz: f64, [low, high]: [f64; 2]) -> (usize, f64) {
 fn interpolated(knots: &[f64], frequency_hz: f64, ends_hz: [f64; 2]) -> f64 {
     let (i, w) = hat(frequency_hz, ends_hz);
     knots[i] * (1.0 - w) + knots[i + 1] * w
+}
+
+/// Share of the prediction that the mean motion is where the coherence is `c` and a share `added` of what strays is of another origin.
+fn coherent(c: f64, added: f64) -> f64 {
+    c / (1.0 - added * (1.0 - c * c)).sqrt()
 }
 
 /// Declared error of the column, a share of what it adds to its base.
@@ -224,7 +243,7 @@ impl Spread {
     ///
     /// ```text
     /// γ² = |Σ Y Ŷ*|² / (Σ (|Ŷ|² − |H|² S_in) Σ (|Y|² − S_out)),   C² = (γ² − 1/n)/(1 − 1/n)             (1)
-    /// δ  = Σ (Y − C Ŷ) (Ŷ − U)* / Σ |Ŷ − U|²                                                     (2)
+    /// δ  = Σ (Y − C Ŷ/√(1 − b(1 − C²))) (Ŷ − U)* / Σ |Ŷ − U|²                                    (2)
     /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (3)
     /// ```
     ///
@@ -246,7 +265,7 @@ impl Spread {
         let by_sensor = |(at, p): (&At, &Predicted)| p.channels.iter().map(|c| noise(forward, *at, *c)).collect();
         let noises: Vec<Vec<Vec<f64>>> = forward.records.iter().zip(prediction).map(by_sensor).collect();
         let numerical = Arc::new(numerical_powers(forward));
-        let (mut coherence, mut repeatable) = (Vec::new(), Vec::new());
+        let (mut coherence, mut straying, mut repeatable) = (Vec::new(), Vec::new(), Vec::new());
         for s in 0..n_sensor {
             // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of bins, by band.
             let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
@@ -264,6 +283,7 @@ impl Spread {
                             base: p.base[k],
                             noise: noises[s + 1][k],
                             predicted_noise: gain[s][k].norm_sqr() * noises[0][k] + numerical[s][k],
+                            added_share: p.added_share,
                         });
                     }
                 }
@@ -275,7 +295,7 @@ impl Spread {
                 m.2 += bin.recorded * bin.predicted.conj() * bin.weight;
                 m.3 += 1.0;
             });
-            let mut knots = [[1e-9, 1e-9]; KNOTS];
+            let (mut knots, mut powers) = ([[1e-9, 1e-9]; KNOTS], [[0.0, f64::MIN_POSITIVE]; KNOTS]);
             for (b, (recorded, predicted, cross, n)) in moments.iter().enumerate().filter(|(_, m)| m.3 >= 2.0) {
                 let gamma = cross.norm_sqr() / (predicted.max(FLOOR) * recorded.max(FLOOR));
                 let square = ((gamma - 1.0 / n) / (1.0 - 1.0 / n)).clamp(0.0, 1.0);
@@ -283,6 +303,8 @@ impl Spread {
                 for (j, w) in [(i, 1.0 - w), (i + 1, w)] {
                     knots[j][0] += w * n * square;
                     knots[j][1] += w * n;
+                    powers[j][0] += w * recorded.max(0.0) * (1.0 - square);
+                    powers[j][1] += w * recorded.max(0.0);
                 }
             }
             let own: Vec<f64> = knots.iter().map(|[a, b]| (a / b).sqrt().max(LEAST_COHERENCE)).collect();
@@ -291,7 +313,7 @@ impl Spread {
             each(&mut |bin| {
                 let (added, c, w) = (bin.predicted - bin.base, interpolated(&own, bin.f_hz, ends), bin.weight);
                 let m = &mut shared[place_of(bin.f_hz)];
-                m.0 += (bin.recorded - c * bin.predicted) * added.conj() * w;
+                m.0 += (bin.recorded - coherent(c, bin.added_share) * bin.predicted) * added.conj() * w;
                 m.1 += w * added.norm_sqr();
                 let strays = (1.0 - c * c) * bin.recorded.norm_sqr();
                 m.2 += w * w * added.norm_sqr() * (bin.noise + bin.predicted_noise + strays);
@@ -302,9 +324,12 @@ impl Spread {
                 places.push(Shared { f_hz: ends[0] + (k as f64 + 0.5) * step_hz, delta, chance });
             }
             coherence.push(own);
+            straying.push(powers.iter().map(|[strays, all]| strays / all).collect());
             repeatable.push(places);
         }
-        Self { level: Self::level(&repeatable, model, 1.0), coherence, repeatable, numerical }
+        let added_share = prediction.first().map_or(0.0, |p| p.added_share);
+        let level = Self::level(&repeatable, model, 1.0);
+        Self { level, coherence, straying, added_share, repeatable, numerical }
     }
 
     /// The same for the records of `few` alone.
@@ -369,7 +394,7 @@ pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &
                 let same = shared * (p.outputs[s][k] - p.base[k]).norm_sqr();
                 let expected = noise[k] + gain[s][k].norm_sqr() * input[k] + numerical[s][k];
                 sums[0] += same / total;
-                sums[1] += ((y[k] - c * p.outputs[s][k]).norm_sqr() - expected - same) / total;
+                sums[1] += ((y[k] - coherent(c, p.added_share) * p.outputs[s][k]).norm_sqr() - expected - same) / total;
                 sums[2] += y[k].norm_sqr() / total;
             }
         }
@@ -437,14 +462,21 @@ impl Weights {
             let power: Vec<f64> = y.iter().zip(&predicted.base).map(|(y, u)| (y - u).norm_sqr()).collect();
             running_mean(&power, half)
         };
-        let added: Vec<Vec<f64>> = predicted.measured.iter().map(beside_base).collect();
+        let beside: Vec<Vec<f64>> = predicted.measured.iter().map(beside_base).collect();
+        let wide: Vec<Vec<f64>> = predicted.measured.iter().map(|y| octave_mean(&powers(y), f)).collect();
         let at_bins = |knots: &Vec<f64>| f.iter().map(|f| interpolated(knots, *f, ends)).collect();
         let coherence: Vec<Vec<f64>> = spread.coherence.iter().map(at_bins).collect();
-        let strays = |s: usize, k: usize| (1.0 - coherence[s][k].powi(2)).max(0.0) * recorded[s][k];
+        let straying: Vec<Vec<f64>> = spread.straying.iter().map(at_bins).collect();
+        // What strays, were all of it of another origin.
+        let added = |s: usize, k: usize| straying[s][k] * wide[s][k];
+        let strays = |s: usize, k: usize| {
+            let scattered = (1.0 - coherence[s][k].powi(2)).max(0.0) * recorded[s][k];
+            (1.0 - spread.added_share) * scattered + spread.added_share * added(s, k)
+        };
         let step_hz = f[1] - f[0];
         // Values of the column's error that are one.
         let alike = |k: usize| (f[k] * ((LN_2 * ALIKE_OCTAVES).exp() - 1.0) / step_hz).max(1.0) * n_record;
-        let own = |s: usize, k: usize| level * level * alike(k) * added[s][k];
+        let own = |s: usize, k: usize| level * level * alike(k) * beside[s][k];
         let numerical = &spread.numerical[index];
         let plain = |s: usize, k: usize| (noise[s + 1][k] + strays(s, k) + numerical[s][k]).max(f64::MIN_POSITIVE);
         let covariance = |k: usize, of: &dyn Fn(usize) -> f64| {
@@ -464,7 +496,7 @@ impl Weights {
             let share = stray / (stray + noisy).max(f64::MIN_POSITIVE);
             let alike = n_record * ALIKE_OCTAVES * AN_OCTAVE;
             let weight = share / (0.25 / n + level * level * alike).sqrt();
-            Band { weight, noise: sum(&|k| noise[s + 1][k]), bins }
+            Band { weight, noise: sum(&|k| noise[s + 1][k]), added: sum(&|k| added(s, k)), bins }
         };
         let sigma: Vec<Covariance> = (0..f.len()).map(sigma).collect();
         let constant = (0..f.len()).map(ln_determinant).sum::<f64>()
@@ -488,7 +520,7 @@ impl Record {
         let mut residual = vec![C64::default(); n];
         for (k, sigma) in self.sigma.iter().enumerate() {
             for (s, r) in residual.iter_mut().enumerate() {
-                *r = p.measured[s][k] - self.coherence[s][k] * p.outputs[s][k];
+                *r = p.measured[s][k] - coherent(self.coherence[s][k], p.added_share) * p.outputs[s][k];
             }
             sigma.whiten(&mut residual);
             rows.extend(residual.iter().flat_map(|r| [SQRT_2 * r.re, SQRT_2 * r.im]));
@@ -496,7 +528,8 @@ impl Record {
         for (s, bands) in self.bands.iter().enumerate() {
             for band in bands {
                 let power = |x: &[C64]| x[band.bins.clone()].iter().map(C64::norm_sqr).sum::<f64>();
-                let (recorded, predicted) = (power(&p.measured[s]), power(&p.outputs[s]) + band.noise);
+                let (recorded, predicted) =
+                    (power(&p.measured[s]), power(&p.outputs[s]) + band.noise + p.added_share * band.added);
                 let ln = 0.5 * (recorded.max(f64::MIN_POSITIVE) / predicted.max(f64::MIN_POSITIVE)).ln();
                 rows.push(band.weight * ln);
             }

@@ -5,8 +5,10 @@ use crate::diagnosis::{DiagnoseSettings, Problem};
 use crate::effects;
 use crate::inference::made_up::{DAMPING, Nonlinear, Truth, Uniform, problem};
 use crate::inference::parameters::Declared;
+use crate::metrics::rms;
 use crate::numerics::random;
 use rand::RngExt;
+use rand_distr::{Distribution, StandardNormal};
 
 /// Fits the model with effects of `kinds` to `problem`, what is expected of residuals read off in turn.
 fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl for<'x> FnOnce(&Fit<'x>, &Fitter<'x>) -> T) -> T {
@@ -34,6 +36,10 @@ fn damping_ratio(fit: &Fit<'_>) -> f64 {
     let tolerance = declared.others.iter().position(|o| o.instance.kind == "small_strain_damping").unwrap();
     let tolerated = declared.others[tolerance].coordinate(fit.x[declared.n_mode() + tolerance]);
     DAMPING * (fit.x[fit.model.start(0)] + tolerated).exp()
+}
+
+fn normal_draw(stream: &mut impl rand::Rng) -> f64 {
+    StandardNormal.sample(stream)
 }
 
 fn straying(f: f64) -> f64 {
@@ -178,6 +184,35 @@ fn damping_of_a_partly_coherent_field_is_found() {
                 assert!((c - straying(f)).abs() < 0.1, "seed {seed}, {f} Hz: {c} {}", straying(f));
             }
         });
+    }
+}
+
+#[test]
+fn motion_of_another_origin_is_no_lack_of_damping() {
+    // The same share of the records strays: by another motion on top of the column's, and by scattering, which keeps their power.
+    let share = 0.5;
+    let coherence: fn(f64) -> f64 = |_| (1.0f64 / (1.0 + 0.5 * 0.5)).sqrt();
+    for seed in [5, 6, 7, 8] {
+        let truth = Truth { soil: [200.0, 0.05], seed, ..Truth::default() };
+        let mut on_top = problem(&truth);
+        let mut stream = random::stream(seed, "another origin");
+        for y in on_top.events.iter_mut().flat_map(|event| &mut event.outputs) {
+            let envelope = |i: usize| (-((i as f64 - 700.0) / 250.0).powi(2)).exp();
+            let other: Vec<f64> = (0..y.len()).map(|i| envelope(i) * normal_draw(&mut stream)).collect();
+            let scale = share * rms(y) / rms(&other);
+            y.iter_mut().zip(other).for_each(|(y, v)| *y += scale * v);
+        }
+        let scattered = problem(&Truth { coherence, ..truth });
+        for (problem, origin) in [(on_top, 1.0), (scattered, 0.0)] {
+            fitted(&problem, &["small_strain_damping"], |fit, _| {
+                let (found, added) = (damping_ratio(fit), fit.x[fit.model.declared.added()]);
+                println!(
+                    "seed {seed}: damping ratio {found:.4}, 0.0500 holds; of another origin {added:.2}, {origin:.0} holds"
+                );
+                assert!((found / 0.05 - 1.0).abs() < 0.1, "seed {seed}: {found}");
+                assert!((added - origin).abs() < 0.25, "seed {seed}: {added}");
+            });
+        }
     }
 }
 
