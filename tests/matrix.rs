@@ -64,7 +64,7 @@ fn check(site: &str, cells: &[(&str, i64)]) {
     let mut twins = 0;
     for group in ["cells", "surviving"] {
         for (name, cell) in report[group].as_object().expect("cells") {
-            for rate in ["right_class", "wrong", "null_alarms", "outside_unknown", "coverage"] {
+            for rate in ["right_class", "wrong", "null_alarms", "outside_right", "coverage"] {
                 let (hits, of, [low, high]) = share(cell, rate);
                 println!("{site}, {group}, {name}: {rate} {hits} of {of} [{low:.2}, {high:.2}]");
             }
@@ -74,7 +74,7 @@ fn check(site: &str, cells: &[(&str, i64)]) {
             if group == "cells" {
                 twins += share(cell, "right_class").1;
                 assert!(!too_many("null_alarms", 0.05), "{site}, {name}: too many null alarms");
-                let (_, of, [_, high]) = share(cell, "outside_unknown");
+                let (_, of, [_, high]) = share(cell, "outside_right");
                 assert!(of == 0 || high >= 0.8, "{site}, {name}: what no effect describes gets names too often");
             } else {
                 // Of what outlives recalibration 85 in 100 of the right class, nine in ten intervals: the interval must not lie below. A

@@ -121,8 +121,8 @@ fn lines(name: &str, tally: &Tally) {
     if let Some(incoherent) = &tally.incoherent {
         println!("  rest incoherent      {}", share(incoherent));
     }
-    if tally.outside_unknown.of > 0 {
-        println!("  outside unknown      {}", share(&tally.outside_unknown));
+    if tally.outside_right.of > 0 {
+        println!("  outside, right       {}", share(&tally.outside_right));
     }
     println!("  interval holds truth {}", share(&tally.coverage));
     println!("  alarm                {}", share(&tally.alarms));

@@ -17,6 +17,9 @@ pub struct Outcome {
     pub truth: Vec<toml::Table>,
     /// What held outside the catalogue.
     pub outside: Vec<String>,
+    /// Whether part of that is the same in all events.
+    #[serde(default)]
+    pub outside_repeats: bool,
     /// The answer.
     pub verdict: Verdict,
     /// Effects that were named.
@@ -95,13 +98,13 @@ pub struct Spread {
 /// The figures of one group of twins.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Tally {
-    /// Twins whose answer is of the right class: `none` where nothing held, `unknown` where only something outside the catalogue did,
-    /// otherwise the right name.
+    /// Twins whose answer is of the right class: `none` where nothing held; where only something outside the catalogue did, `unknown` if
+    /// part of that is the same in all events and otherwise `none` with an incoherent rest; the right name where one holds.
     pub right_class: Share,
     /// Of the twins in which nothing held, those with an answer other than `none`.
     pub null_alarms: Share,
-    /// Of the twins with something outside the catalogue and nothing in it, those called unknown.
-    pub outside_unknown: Share,
+    /// Of the twins with something outside the catalogue and nothing in it, those whose answer is of the right class.
+    pub outside_right: Share,
     /// Of the twins with a field that strays, those whose rest is called incoherent.
     #[serde(default)]
     pub incoherent: Option<Share>,
@@ -231,7 +234,8 @@ impl Outcome {
         if self.is_null() {
             self.verdict == Verdict::None
         } else if self.is_outside() {
-            self.verdict == Verdict::Unknown
+            let is_incoherent = self.verdict == Verdict::None && self.rest == Some(RestVerdict::Incoherent);
+            if self.outside_repeats { self.verdict == Verdict::Unknown } else { is_incoherent }
         } else {
             self.is_right()
         }
@@ -280,11 +284,10 @@ impl Tally {
         };
         let is_straying = |o: &Outcome| Outcome::kinds(&o.truth).into_iter().any(strays);
         let incoherent = of_those(&is_straying, &|o| o.rest == Some(RestVerdict::Incoherent));
-        let is_unknown = |o: &Outcome| o.verdict == Verdict::Unknown;
         Self {
             right_class: share(&Outcome::is_of_right_class),
             null_alarms: of_those(&Outcome::is_null, &|o| o.verdict != Verdict::None),
-            outside_unknown: of_those(&Outcome::is_outside, &is_unknown),
+            outside_right: of_those(&Outcome::is_outside, &Outcome::is_of_right_class),
             incoherent: (incoherent.of > 0).then_some(incoherent),
             alarms: share(&|o| o.verdict != Verdict::None),
             unknown: share(&|o| o.verdict == Verdict::Unknown),
@@ -338,6 +341,7 @@ mod tests {
             number: 1,
             truth: tables(held),
             outside: Vec::new(),
+            outside_repeats: false,
             verdict,
             found: tables(found),
             ambiguity: Vec::new(),
@@ -372,7 +376,7 @@ mod tests {
         let counts = [&tally.right, &tally.wrong, &tally.top_1, &tally.top_3, &tally.alarms].map(|s| s.hits);
         assert_eq!(counts, [1, 2, 2, 3, 4]);
         assert_eq!((tally.right_class.hits, tally.right_class.of), (1, 5));
-        assert_eq!((tally.null_alarms.hits, tally.null_alarms.of, tally.outside_unknown.of), (1, 1, 0));
+        assert_eq!((tally.null_alarms.hits, tally.null_alarms.of, tally.outside_right.of), (1, 1, 0));
         assert_eq!(tally.coverage.hits, 0);
         assert!(tally.parameter_error.is_some_and(|s| (s.median - 0.1).abs() < 1e-12));
         assert!(tally.corrected_over_floor.is_some_and(|s| (s.median - 1.1).abs() < 1e-12));
@@ -386,12 +390,24 @@ mod tests {
 
     #[test]
     fn the_class_of_an_answer_is_judged_by_what_held() {
-        let mut outside = outcome(&[], Verdict::Unknown, &[], &[]);
-        outside.outside = vec!["second_input".into()];
-        let report = Report::new(1, vec![outcome(&[], Verdict::None, &[], &[]), outside], Vec::new());
+        let outside = |verdict, rest, outside_repeats| Outcome {
+            outside: vec!["something".into()],
+            outside_repeats,
+            rest: Some(rest),
+            ..outcome(&[], verdict, &[], &[])
+        };
+        let outcomes = vec![
+            outcome(&[], Verdict::None, &[], &[]),
+            outside(Verdict::Unknown, RestVerdict::Unnamed, true),
+            outside(Verdict::None, RestVerdict::Incoherent, false),
+            outside(Verdict::None, RestVerdict::Incoherent, true),
+            outside(Verdict::Unknown, RestVerdict::Unnamed, false),
+            outside(Verdict::None, RestVerdict::Noise, false),
+        ];
+        let report = Report::new(1, outcomes, Vec::new());
         let tally = &report.cells["c"];
-        let shares = [&tally.right_class, &tally.null_alarms, &tally.outside_unknown].map(|s| (s.hits, s.of));
-        assert_eq!(shares, [(2, 2), (0, 1), (1, 1)]);
+        let shares = [&tally.right_class, &tally.null_alarms, &tally.outside_right].map(|s| (s.hits, s.of));
+        assert_eq!(shares, [(3, 6), (0, 1), (2, 5)]);
     }
 
     #[test]

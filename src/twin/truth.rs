@@ -201,4 +201,12 @@ impl Truth {
         effects::build_all(&self.effects)?;
         outside::build_all(&self.outside).map(|_| ())
     }
+
+    /// Whether part of what holds outside the catalogue is the same in all events.
+    ///
+    /// # Errors
+    /// When `kind` is missing or unknown, or a parameter is missing, unknown or out of range.
+    pub fn outside_repeats(&self) -> Result<bool> {
+        Ok(outside::build_all(&self.outside)?.iter().any(|one| one.repeats()))
+    }
 }

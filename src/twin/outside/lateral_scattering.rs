@@ -88,4 +88,8 @@ impl Outside for LateralScattering {
         }
         Ok(())
     }
+
+    fn repeats(&self) -> bool {
+        self.repeatable > 0.0
+    }
 }

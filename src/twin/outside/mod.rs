@@ -1,4 +1,4 @@
-//! What may hold at a twin site and no effect of the catalogue describes: the diagnosis must call it unknown.
+//! What may hold at a twin site and no effect of the catalogue describes: the diagnosis must give it no name.
 
 mod late_surface_wave;
 mod lateral_scattering;
@@ -15,6 +15,11 @@ pub trait Outside: Send + Sync {
     /// # Errors
     /// When a motion it needs cannot be made.
     fn add(&self, recording: &Recording<'_>, seed: u64, motions: &mut [Channels]) -> Result<()>;
+
+    /// Whether part of it is the same in all events, so that it remains as something without a name; the rest of it is incoherent.
+    fn repeats(&self) -> bool {
+        false
+    }
 }
 
 /// All of them, by their name in `[[outside]]`.
