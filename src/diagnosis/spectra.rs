@@ -4,6 +4,7 @@ use super::problem::{Event, NoiseSpectrum, Problem};
 use super::settings::DiagnoseSettings;
 use crate::error::{Error, Result};
 use crate::metrics::rms;
+use crate::numerics::smooth::running_mean;
 use crate::records::Split;
 use realfft::num_complex::Complex;
 use realfft::{RealFftPlanner, RealToComplex};
@@ -19,6 +20,8 @@ const MAX_DURATION_S: f64 = 41.0;
 const TAPER_SHARE: f64 = 0.04;
 /// Half width over which spectra are smoothed, Hz.
 const SMOOTH_HZ: f64 = 0.15;
+/// Half of the time over which the power of a motion is smoothed, s.
+const SMOOTH_S: f64 = 0.5;
 /// Least power of noise in a bin, over the largest power of a channel.
 const LEAST_NOISE: f64 = 1e-12;
 /// Peak over RMS velocity of a base that does not move.
@@ -60,6 +63,8 @@ pub struct RecordSpectra {
     pub channels: Vec<Vec<C64>>,
     /// Expected |noise|² of each bin, `[sensor][bin]`.
     pub noise: Vec<Vec<f64>>,
+    /// Share of the window over which the motion of each channel lasts, by sensor: [`lasting_share`].
+    pub lasting: Vec<f64>,
     /// Peak over root-mean-square base velocity.
     pub peak_factor: f64,
 }
@@ -102,6 +107,23 @@ fn history(bins: &[C64], first: usize, n: usize) -> Vec<f64> {
         return out;
     }
     out.iter().map(|x| x / n as f64).collect()
+}
+
+/// Share of a history over which its motion lasts.
+///
+/// ```text
+/// s = (Σ p)² / (n Σ p²),   p the mean of the squared history around a sample          (1)
+/// ```
+///
+/// Of the bins of its spectrum only that share is independent: 1/s neighbours are alike.
+///
+/// Check:  `a_motion_lasts_as_long_as_its_envelope`.
+/// Source: Bendat and Piersol (2010), Random Data, chapter 12, for products of an envelope and stationary noise.
+fn lasting_share(history: &[f64], dt_s: f64) -> f64 {
+    let squares: Vec<f64> = history.iter().map(|v| v * v).collect();
+    let power = running_mean(&squares, (SMOOTH_S / dt_s).round() as usize);
+    let sums = power.iter().fold([0.0, 0.0], |[one, two], p| [one + p, two + p * p]);
+    if sums[1] > 0.0 { sums[0] * sums[0] / (power.len() as f64 * sums[1]) } else { 1.0 }
 }
 
 /// Factor on sample `i` of `n` before the transform.
@@ -163,13 +185,14 @@ fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<G
             frequencies_hz.iter().map(|f| tapered * noise.at(*f) / (2.0 * dt_s) + floor).collect()
         };
         let noise = channels.iter().zip(&event.noise).map(noise).collect();
+        let lasting = channels.iter().map(|x| lasting_share(&history(x, first, window.len()), dt_s)).collect();
         let velocity: Vec<C64> =
             channels[0].iter().zip(&frequencies_hz).map(|(a, f)| a / C64::new(0.0, TAU * f)).collect();
         let velocity = history(&velocity, first, window.len());
         let peak = velocity.iter().fold(0.0f64, |m, v| m.max(v.abs()));
         let rms = rms(&velocity);
         let peak_factor = if rms > 0.0 { peak / rms } else { USUAL_PEAK_FACTOR };
-        RecordSpectra { event: *index, window: window.clone(), channels, noise, peak_factor }
+        RecordSpectra { event: *index, window: window.clone(), channels, noise, lasting, peak_factor }
     };
     let records = members.iter().map(of).collect();
     Ok(Group { split: members[0].1.split, frequencies_hz, records, transform })
@@ -191,4 +214,34 @@ fn strongest(members: &[(usize, &Event)], n: usize, longest: usize) -> Range<usi
         }
     }
     start..start + longest
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::numerics::random;
+    use rand_distr::{Distribution, StandardNormal};
+
+    #[test]
+    fn a_motion_lasts_as_long_as_its_envelope() {
+        let (n, dt_s) = (4000, 0.01);
+        let mut stream = random::stream(4, "envelope");
+        let noise: Vec<f64> = (0..n).map(|_| StandardNormal.sample(&mut stream)).collect();
+        let of = |envelope: &dyn Fn(f64) -> f64| {
+            let motion: Vec<f64> = noise.iter().enumerate().map(|(i, v)| envelope(i as f64 * dt_s) * v).collect();
+            lasting_share(&motion, dt_s)
+        };
+        let lasts_s = |share: f64| share * n as f64 * dt_s;
+        // (∫ p)² / ∫ p²: the length of a box, 2√π σ of a normal power, twice the decay time of an exponential one.
+        let cases: [(f64, f64); 3] = [
+            (of(&|t| if (10.0..18.0).contains(&t) { 1.0 } else { 0.0 }), 8.0),
+            (of(&|t| (-0.25 * ((t - 20.0) / 3.0).powi(2)).exp()), 6.0 * PI.sqrt()),
+            (of(&|t| (-0.5 * t / 4.0).exp()), 8.0),
+        ];
+        for (share, expected_s) in cases {
+            assert!((lasts_s(share) / expected_s - 1.0).abs() < 0.15, "{} s, {expected_s} s", lasts_s(share));
+        }
+        assert!(of(&|_| 1.0) > 0.95);
+        assert!((lasting_share(&[0.0; 100], dt_s) - 1.0).abs() < 1e-12);
+    }
 }

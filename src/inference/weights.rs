@@ -1,8 +1,9 @@
 //! What a prediction is compared by: residuals in units of what is expected of them, and how that is read off the records.
 
 use super::covariance::Covariance;
-use super::forward::{At, Bins, Forward, Predicted, Prediction};
-use crate::diagnosis::{NoiseSource, USUAL_SHARE, spectra};
+use super::forward::{At, Bins, Forward, Predicted, Prediction, channels};
+use crate::diagnosis::spectra::{self, RecordSpectra};
+use crate::diagnosis::{NoiseSource, USUAL_SHARE};
 use crate::metrics::median;
 use crate::numerics::smooth::{octave_mean, running_mean};
 use rayon::prelude::*;
@@ -52,7 +53,12 @@ pub struct Spread {
     /// What all records share of the residual of each output sensor, by frequency.
     pub repeatable: Vec<Vec<Shared>>,
     /// Power of what elements and steps leave wrong of the motion of each output sensor, `[record][sensor][bin]`.
-    numerical: Arc<Vec<Vec<Vec<f64>>>>,
+    numerical: Powers,
+    /// Expected power of each record, its noise included, and of what it has beside the base, by what the other events make of the
+    /// prediction: `[record][sensor][bin]`.
+    expected: [Powers; 2],
+    /// The channels for which that holds.
+    channels: Vec<usize>,
 }
 
 /// What all records share of a residual at one frequency.
@@ -93,6 +99,8 @@ struct Bin {
     noise: f64,
     predicted_noise: f64,
     added_share: f64,
+    /// Share of the record over which the motion lasts.
+    lasting: f64,
 }
 
 /// Weights of one record.
@@ -106,8 +114,8 @@ struct Record {
 /// Residuals in units of what is expected of them.
 ///
 /// ```text
-/// Y | U ~ CN( C Ŷ/√(1 − b(1 − C²)), Σ ),   Σ = (I − C²) ⟨|Y|²⟩ + S_out + H S_in Hᴴ + E + D,   D = (σ m)² N ⟨|Y − U|²⟩    (1)
-/// ln A | U ~ N( ½ ln(Â² + b(1 − C²) ⟨|Y|²⟩ₒ), 1/4n + (σ m)² R ),   weighted by the share of (I − C²) ⟨|Y|²⟩ in Σ without D  (2)
+/// Y | U ~ CN( C Ŷ/√(1 − b(1 − C²)), Σ ),   Σ = (I − C²) P + S_out + H S_in Hᴴ + E + D,   D = (σ m)² N P'   (1)
+/// ln A | U ~ N( ½ ln(Â² + b(1 − C²) ⟨|Y|²⟩ₒ), 1/4n + (σ m)² R ),   weighted by the share of (I − C²) P in Σ without D  (2)
 /// ```
 ///
 /// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. E is what elements and
@@ -124,12 +132,18 @@ struct Record {
 /// frequencies; it is estimated with the rest of a model, for a column that is to explain the whole recorded power takes up what another
 /// origin added as a gain or a lack of damping. What strays is taken to be independent from sensor to sensor.
 ///
-/// Σ is made of what was recorded and does not change with the prediction. So a prediction gains nothing by shrinking, and models that
-/// are compared are compared by one Σ. Cross terms between sensors are those of noise of the base alone.
+/// What strays lasts as long as the motion, a share s of the record: neighbouring bins are alike, and of n of them n s are independent. So
+/// residuals are divided by Σ with 1/s of what strays, and n in (2) is n s; the determinant is that of independent bins.
+///
+/// P is the expected power of a record, and P' of what it has beside the base: that of a reference prediction, times what the other events
+/// have over theirs at the same frequency. The power of the record itself would count residuals least where what strays adds to the prediction, and lead to too little
+/// motion. Σ does not change with the prediction, P and H being those of the reference. So a prediction gains nothing by
+/// shrinking, and models that are compared are compared by one Σ. Cross terms between sensors are those of noise of the base alone.
 ///
 /// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ; Kennedy and O'Hagan (2001),
 /// doi 10.1111/1467-9868.00294, for the error of the column.
-/// Check:  `damping_of_a_partly_coherent_field_is_found`, `motion_of_another_origin_is_no_lack_of_damping`,
+/// Check:  `residuals_of_a_partly_coherent_field_tell_no_more_than_they_know`, `damping_of_a_partly_coherent_field_is_found`,
+///         `motion_of_another_origin_is_no_lack_of_damping`,
 ///         `levels_and_coherence_are_read_off_records`.
 pub struct Weights {
     records: Vec<Record>,
@@ -195,10 +209,18 @@ fn resolution_hz(forward: &Forward<'_>) -> f64 {
     forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max)
 }
 
+/// The spectra of a record.
+fn seen<'f>(forward: &'f Forward<'_>, at: At) -> &'f RecordSpectra {
+    &forward.groups[at.group].records[at.record]
+}
+
+/// One value for each bin, `[record][sensor][bin]`.
+type Powers = Arc<Vec<Vec<Vec<f64>>>>;
+
 /// Expected |noise|² of each bin of a channel: what the record shows of it before its event; or white, a share of the RMS within the
 /// band and nowhere more than what was recorded there, for processing may have emptied part of the band.
 fn noise(forward: &Forward<'_>, at: At, channel: usize) -> Vec<f64> {
-    let record = &forward.groups[at.group].records[at.record];
+    let record = seen(forward, at);
     if forward.problem.events[record.event].noise[channel].source != NoiseSource::Usual {
         return record.noise[channel].clone();
     }
@@ -222,6 +244,53 @@ fn numerical_powers(forward: &Forward<'_>) -> Vec<Vec<Vec<f64>>> {
         (0..n_sensor).map(sensor).collect()
     };
     forward.records.iter().enumerate().map(of).collect()
+}
+
+/// Power of `x` less so many times the base, smoothed.
+fn beside_base(forward: &Forward<'_>, at: At, x: &[C64], predicted: &Predicted, base: f64) -> Vec<f64> {
+    let power: Vec<f64> = x.iter().zip(&predicted.base).map(|(x, u)| (x - base * u).norm_sqr()).collect();
+    running_mean(&power, spectra::smoothing_bins(forward.frequencies_hz(at)))
+}
+
+/// Expected power of each record less so many times its base: that of its prediction, times what the other events have over theirs at the same frequency. What strays
+/// in a record itself must not tell how much counts there, or it would count least where it adds to the prediction.
+fn expected_powers(forward: &Forward<'_>, prediction: &Prediction, base: f64) -> Vec<Vec<Vec<f64>>> {
+    let [low_hz, high_hz] = band_hz(forward);
+    let step_hz = resolution_hz(forward);
+    let n_place = ((high_hz - low_hz) / step_hz).floor() as usize + 1;
+    let place_of = |f: f64| (((f - low_hz) / step_hz) as usize).min(n_place - 1);
+    let by_record = forward.records.iter().zip(prediction);
+    let smoothed = |at: At, x: &Vec<C64>, p: &Predicted| beside_base(forward, at, x, p, base);
+    // Recorded and predicted power by event and place.
+    let of_sensor = |s: usize| -> Vec<Vec<f64>> {
+        let both: Vec<[Vec<f64>; 2]> =
+            by_record.clone().map(|(at, p)| [&p.measured[s], &p.outputs[s]].map(|x| smoothed(*at, x, p))).collect();
+        let mut events = vec![vec![[0.0; 2]; n_place]; forward.groups.len()];
+        for (at, [recorded, predicted]) in forward.records.iter().zip(&both) {
+            let total: f64 = recorded.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+            for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
+                let sums = &mut events[at.group][place_of(*f)];
+                sums[0] += recorded[k] / total;
+                sums[1] += predicted[k] / total;
+            }
+        }
+        let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
+        let others = |group: usize, place: usize| {
+            let others = events.iter().enumerate().filter(|(g, _)| *g != group);
+            others.map(|(_, e)| e[place]).fold([0.0; 2], add)
+        };
+        let of = |(at, [recorded, predicted]): (&At, &[Vec<f64>; 2])| {
+            let value = |(k, f): (usize, &f64)| {
+                let [has, foretold] = others(at.group, place_of(*f));
+                if has > 0.0 && foretold > 0.0 { predicted[k] * has / foretold } else { recorded[k] }
+            };
+            forward.frequencies_hz(*at).iter().enumerate().map(value).collect()
+        };
+        forward.records.iter().zip(&both).map(of).collect()
+    };
+    let n_sensor = forward.problem.array.outputs.len();
+    let by_sensor: Vec<Vec<Vec<f64>>> = (0..n_sensor).into_par_iter().map(of_sensor).collect();
+    (0..prediction.len()).map(|i| by_sensor.iter().map(|s| s[i].clone()).collect()).collect()
 }
 
 /// Transfer functions of the outputs over the base.
@@ -284,6 +353,7 @@ impl Spread {
                             noise: noises[s + 1][k],
                             predicted_noise: gain[s][k].norm_sqr() * noises[0][k] + numerical[s][k],
                             added_share: p.added_share,
+                            lasting: seen(forward, *at).lasting[p.channels[s + 1]],
                         });
                     }
                 }
@@ -293,7 +363,7 @@ impl Spread {
                 m.0 += bin.weight * (bin.recorded.norm_sqr() - bin.noise);
                 m.1 += bin.weight * (bin.predicted.norm_sqr() - bin.predicted_noise);
                 m.2 += bin.recorded * bin.predicted.conj() * bin.weight;
-                m.3 += 1.0;
+                m.3 += bin.lasting;
             });
             let (mut knots, mut powers) = ([[1e-9, 1e-9]; KNOTS], [[0.0, f64::MIN_POSITIVE]; KNOTS]);
             for (b, (recorded, predicted, cross, n)) in moments.iter().enumerate().filter(|(_, m)| m.3 >= 2.0) {
@@ -329,12 +399,15 @@ impl Spread {
         }
         let added_share = prediction.first().map_or(0.0, |p| p.added_share);
         let level = Self::level(&repeatable, model, 1.0);
-        Self { level, coherence, straying, added_share, repeatable, numerical }
+        let expected = [0.0, 1.0].map(|base| Arc::new(expected_powers(forward, prediction, base)));
+        let channels = channels(prediction).to_vec();
+        Self { level, coherence, straying, added_share, repeatable, numerical, expected, channels }
     }
 
     /// The same for the records of `few` alone.
     pub fn in_events(&self, few: &Forward<'_>) -> Self {
-        Self { numerical: Arc::new(few.kept(&self.numerical)), ..self.clone() }
+        let kept = |powers: &Powers| Arc::new(few.kept(powers));
+        Self { numerical: kept(&self.numerical), expected: self.expected.each_ref().map(kept), ..self.clone() }
     }
 
     /// Error of the column over the declared one when all that records share counts, also what is no error of a column: the solution σ
@@ -455,14 +528,15 @@ impl Weights {
         let level = spread.level * model_error(forward);
         let gain = gains(predicted, half);
         let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
-        let channels = &forward.groups[at.group].records[at.record].channels;
+        let channels = &seen(forward, at).channels;
         let input = running_mean(&powers(&channels[predicted.channels[0]]), half);
-        let recorded: Vec<Vec<f64>> = predicted.measured.iter().map(|y| running_mean(&powers(y), half)).collect();
-        let beside_base = |y: &Vec<C64>| -> Vec<f64> {
-            let power: Vec<f64> = y.iter().zip(&predicted.base).map(|(y, u)| (y - u).norm_sqr()).collect();
-            running_mean(&power, half)
-        };
-        let beside: Vec<Vec<f64>> = predicted.measured.iter().map(beside_base).collect();
+        // Models that take other channels for the same sensors have nothing but their own record to expect its power from.
+        let [recorded, beside] = [0, 1].map(|base: usize| -> Vec<Vec<f64>> {
+            if predicted.channels == spread.channels {
+                return spread.expected[base][index].clone();
+            }
+            predicted.measured.iter().map(|y| beside_base(forward, at, y, predicted, base as f64)).collect()
+        });
         let wide: Vec<Vec<f64>> = predicted.measured.iter().map(|y| octave_mean(&powers(y), f)).collect();
         let at_bins = |knots: &Vec<f64>| f.iter().map(|f| interpolated(knots, *f, ends)).collect();
         let coherence: Vec<Vec<f64>> = spread.coherence.iter().map(at_bins).collect();
@@ -478,11 +552,14 @@ impl Weights {
         let alike = |k: usize| (f[k] * ((LN_2 * ALIKE_OCTAVES).exp() - 1.0) / step_hz).max(1.0) * n_record;
         let own = |s: usize, k: usize| level * level * alike(k) * beside[s][k];
         let numerical = &spread.numerical[index];
-        let plain = |s: usize, k: usize| (noise[s + 1][k] + strays(s, k) + numerical[s][k]).max(f64::MIN_POSITIVE);
+        // What strays lasts as long as the motion, for this share of the record.
+        let lasting = |s: usize| seen(forward, at).lasting[predicted.channels[s + 1]];
+        let plain = |s: usize, k: usize| (noise[s + 1][k] + numerical[s][k] + strays(s, k)).max(f64::MIN_POSITIVE);
+        let more = |s: usize, k: usize| strays(s, k) * (1.0 / lasting(s) - 1.0);
         let covariance = |k: usize, of: &dyn Fn(usize) -> f64| {
             Covariance::new((0..n_sensor).map(of).collect(), gain.iter().map(|h| h[k]), noise[0][k])
         };
-        let sigma = |k: usize| covariance(k, &|s| plain(s, k) + own(s, k));
+        let sigma = |k: usize| covariance(k, &|s| plain(s, k) + more(s, k) + own(s, k));
         // That of a covariance in which the error is one number for all of these.
         let ln_determinant = |k: usize| {
             let broadened: f64 = (0..n_sensor).map(|s| (own(s, k) / plain(s, k)).ln_1p()).sum();
@@ -495,7 +572,7 @@ impl Weights {
             let stray = sum(&|k| strays(s, k));
             let share = stray / (stray + noisy).max(f64::MIN_POSITIVE);
             let alike = n_record * ALIKE_OCTAVES * AN_OCTAVE;
-            let weight = share / (0.25 / n + level * level * alike).sqrt();
+            let weight = share / (0.25 / (n * lasting(s)) + level * level * alike).sqrt();
             Band { weight, noise: sum(&|k| noise[s + 1][k]), added: sum(&|k| added(s, k)), bins }
         };
         let sigma: Vec<Covariance> = (0..f.len()).map(sigma).collect();
@@ -584,8 +661,10 @@ mod tests {
         let replay = Uniform(&problem);
         let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
         let right = forward.predict(&[]).unwrap();
-        // Without an error of the column only noise is left, and rows are standard normal numbers.
-        let spread = Spread { level: 1e-6, ..Spread::estimated(&forward, &right) };
+        // Without an error of the column and with a field that does not stray only noise is left, and rows are standard normal numbers.
+        let found = Spread::estimated(&forward, &right);
+        let coherence = found.coherence.iter().map(|c| vec![1.0; c.len()]).collect();
+        let spread = Spread { level: 1e-6, coherence, ..found };
         let weights = Weights::new(&forward, &spread, &right);
         let rows: Vec<f64> = weights.rows(&right).into_iter().flatten().filter(|r| *r != 0.0).collect();
         let level = rows.iter().map(|r| r * r).sum::<f64>() / rows.len() as f64;

@@ -217,6 +217,38 @@ fn motion_of_another_origin_is_no_lack_of_damping() {
 }
 
 #[test]
+fn residuals_of_a_partly_coherent_field_tell_no_more_than_they_know() {
+    // The strong motion lasts for a fifth of the record, and neighbouring bins stray alike. Where the model is right, the slope of the
+    // cost along any direction is nothing on average and has the variance that its curvature is.
+    for coherence in [(|_| 0.7) as fn(f64) -> f64, |_| 0.95] {
+        for kind in ["small_strain_damping", "sensor_gain", "clock_offset"] {
+            let slope = |seed: u64| {
+                let problem = problem(&Truth { coherence, seed, events: 4, ..Truth::default() });
+                let replay = Uniform(&problem);
+                let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+                let declared = Declared::new(&problem).unwrap();
+                let all = effects::instances(&problem.array);
+                let effect = all.iter().find(|i| i.kind == kind && i.place() != "base").unwrap().clone();
+                let model = Model { declared: &declared, effects: vec![effect] };
+                let prediction = Arc::new(forward.predict(&[]).unwrap());
+                let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+                let at = fitter.point(&model, model.prior().iter().map(|[mean, _]| *mean).collect()).unwrap();
+                let along = fitter.slope(&model, &at, model.start(0)).unwrap();
+                dot(&along, &at.rows) / square(&along).sqrt()
+            };
+            let slopes: Vec<f64> = (20..60).map(slope).collect();
+            let mean = |of: &dyn Fn(f64) -> f64| slopes.iter().map(|z| of(*z)).sum::<f64>() / slopes.len() as f64;
+            let [first, second] = [mean(&|z| z), mean(&|z| z * z)];
+            println!("coherence {:.2}, {kind}: mean {first:.2}, mean square {second:.2}", coherence(1.0));
+            // Of 40 slopes the mean is within 0.47 in 997 of 1000 and the mean square between 0.6 and 1.5 in 95 of 100; the error that the
+            // column is declared to have makes it smaller, and powers that tell part of what waves do make it larger.
+            assert!(first.abs() < 0.47, "{kind}: {first}");
+            assert!((0.3..1.8).contains(&second), "{kind}: {second}");
+        }
+    }
+}
+
+#[test]
 fn a_coherent_field_is_found_coherent_and_leaving_events_out_moves_little() {
     let problem = problem(&Truth { soil: [204.0, 0.025], ..Truth::default() });
     fitted(&problem, &[], |fit, fitter| {
