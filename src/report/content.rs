@@ -291,6 +291,9 @@ pub struct Score {
     pub sensor: String,
     /// NRMSE, %; lower is better.
     pub nrmse_percent: Pair,
+    /// That of a filter fitted to training events, or of nothing, %: no model that is the same in all events is expected below it.
+    #[serde(default)]
+    pub ceiling_nrmse_percent: Option<f64>,
     /// Coefficient of determination; higher is better.
     pub r2: Pair,
     /// Root-mean-square difference of the natural logarithms of the 5 % spectra; lower is better.

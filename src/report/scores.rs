@@ -24,11 +24,12 @@ pub(super) fn section(content: &Content) -> Option<Section> {
         div.scroll {
             table.scores {
                 caption { "Bold with a triangle ▸ marks the better of the two models. NRMSE and PSA error: lower is better; R²: higher. "
-                    "PSA error is the root-mean-square difference of ln PSA over the periods of the spectra, at 5 % damping." }
+                    "The ceiling is what a filter fitted to the training events reaches, or nothing where that is better: what is left above "
+                    "zero there differs from event to event, and no model that is the same in all of them removes it. PSA error is the root-mean-square difference of ln PSA over the periods of the spectra, at 5 % damping." }
                 thead {
                     tr { th rowspan="2" { "Event" } th rowspan="2" { "Component" } th rowspan="2" { "Sensor" }
-                         th.g colspan="2" { "NRMSE (%)" } th.g colspan="2" { "R² (–)" } th.g colspan="2" { "PSA error (ln)" } }
-                    tr { @for _ in 0..3 { th.n.g { "FE" } th.n { "FLARE-T" } } }
+                         th.g colspan="3" { "NRMSE (%)" } th.g colspan="2" { "R² (–)" } th.g colspan="2" { "PSA error (ln)" } }
+                    tr { @for k in 0..3 { th.n.g { "FE" } th.n { "FLARE-T" } @if k == 0 { th.n { "Ceiling" } } } }
                 }
                 tbody {
                     @for (i, score) in content.scores.iter().enumerate() {
@@ -46,7 +47,7 @@ fn row(score: &Score, new_event: bool) -> Markup {
     html! {
         tr.new[new_event] {
             td { (score.event) } td { (score.component) } td { (score.sensor) }
-            (cells(score.nrmse_percent, 1, false)) (cells(score.r2, 3, true)) (cells(score.psa_ln_rmse, 3, false))
+            (cells(score.nrmse_percent, 1, false)) (ceiling(score.ceiling_nrmse_percent)) (cells(score.r2, 3, true)) (cells(score.psa_ln_rmse, 3, false))
         }
     }
 }
@@ -56,9 +57,18 @@ fn medians(scores: &[Score]) -> Markup {
     html! {
         tr {
             th colspan="3" { "Median" }
-            (cells(of(|s| s.nrmse_percent), 1, false)) (cells(of(|s| s.r2), 3, true)) (cells(of(|s| s.psa_ln_rmse), 3, false))
+            (cells(of(|s| s.nrmse_percent), 1, false)) (ceiling(median_ceiling(scores))) (cells(of(|s| s.r2), 3, true)) (cells(of(|s| s.psa_ln_rmse), 3, false))
         }
     }
+}
+
+/// Median of the ceilings, %.
+pub(super) fn median_ceiling(scores: &[Score]) -> Option<f64> {
+    number::median(scores.iter().filter_map(|s| s.ceiling_nrmse_percent))
+}
+
+fn ceiling(percent: Option<f64>) -> Markup {
+    html! { td.n { (number::optional(percent, 1)) } }
 }
 
 /// Medians over the rows where both models have a value.

@@ -9,7 +9,7 @@ use super::chart::{self, Axis, Curve, Dots, Frame};
 use super::content::{Content, Pair, Score};
 use super::figure::{Section, listed};
 use super::number;
-use super::scores::{compare, median_pair};
+use super::scores::{compare, median_ceiling, median_pair};
 
 /// How many rows FLARE-T wins, ties and loses, and how many cannot be compared.
 #[derive(Debug, Default, PartialEq)]
@@ -56,6 +56,10 @@ fn verdict(scores: &[Score]) -> Markup {
     let n = tally.compared();
     html! {
         p.verdict { (judgement(&tally, medians)) }
+        @if let Some(ceiling) = median_ceiling(scores) {
+            p { "A filter fitted to the training events, without a model, reaches a median NRMSE of " (number::fixed(ceiling, 1))
+                " %: what is left there differs from event to event." }
+        }
         @if tally.worse > 0 && tally.worse < n { p { "FE is closer to the record at " (listed(&worse(scores))) "." } }
         @if tally.incomparable > 0 {
             p { "Not comparable, because a model gave no finite prediction: " (tally.incomparable) " of " (scores.len()) "." }

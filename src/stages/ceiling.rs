@@ -2,13 +2,14 @@
 //!
 //! A training event is predicted from the other training events, every other event from all of them.
 
-use super::evaluate;
+use super::evaluate::{self, Axis};
 use super::side_by_side::{Channel, Measured};
+use crate::dataset::Coarse;
 use crate::metrics::{
     Ceiling, FreeFilter, History, MatchedFilter, Measures, Pair, coherent_nrmse_percent, ln_psa_by_s, psa_periods_s,
 };
 use crate::metrics::{DAMPING, psa};
-use crate::records::Split;
+use crate::records::{Record, Split};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -120,4 +121,52 @@ fn is_same_place(a: &Channel, b: &Channel) -> bool {
 
 fn pair(channel: &Channel) -> Pair<'_> {
     Pair { input: &channel.coarse.input, output: &channel.coarse.observed }
+}
+
+/// Input and record of one sensor in one component of one event, on the axis of FLARE-T.
+pub struct Side {
+    split: Split,
+    component: String,
+    sensor: String,
+    step_s: f64,
+    /// From the beginning of the record, m/s².
+    input: Vec<f64>,
+    /// After the initial window, m/s².
+    observed: Vec<f64>,
+}
+
+/// The sides of `record`, one a sensor; `observed` is what its sensors recorded on `axis`.
+pub fn sides(record: &Record, split: Split, axis: Axis, observed: &[Vec<f64>]) -> Vec<Side> {
+    let input = Coarse::of_record(record, axis.step_s).base_m_s2;
+    let of = |(sensor, observed): (&crate::records::Sensor, &Vec<f64>)| Side {
+        split,
+        component: record.component.clone(),
+        sensor: sensor.name.clone(),
+        step_s: axis.step_s,
+        input: input.clone(),
+        observed: observed.clone(),
+    };
+    record.outputs.iter().zip(observed).map(of).collect()
+}
+
+/// NRMSE of each side, %, by a filter fitted to the other training events of its sensor and component, or by nothing where that is better
+/// on average over the training events; `None` with fewer than two other training events.
+pub fn filter_nrmse_percent(sides: &[Side]) -> Vec<Option<f64>> {
+    let is_alike = |a: &Side, b: &Side| a.component == b.component && a.sensor == b.sensor;
+    let filtered = |i: usize| {
+        let is_other = |o: &usize| *o != i && sides[*o].split == Split::Train && is_alike(&sides[*o], &sides[i]);
+        let others = (0..sides.len()).filter(is_other);
+        let pairs: Vec<Pair<'_>> =
+            others.map(|o| Pair { input: &sides[o].input, output: &sides[o].observed }).collect();
+        let own = Pair { input: &sides[i].input, output: &sides[i].observed };
+        Some(FreeFilter::of(&pairs, sides[i].step_s)?.nrmse_percent(&own)).filter(|v| v.is_finite())
+    };
+    let filtered: Vec<Option<f64>> = (0..sides.len()).into_par_iter().map(filtered).collect();
+    let best = |i: usize| {
+        let training = (0..sides.len()).filter(|t| sides[*t].split == Split::Train && is_alike(&sides[*t], &sides[i]));
+        let errors: Vec<f64> = training.filter_map(|t| filtered[t]).collect();
+        let nothing = || evaluate::nrmse(&vec![0.0; sides[i].observed.len()], &sides[i].observed);
+        filtered[i].and_then(|own| if Ceiling::chosen(&errors, &[]) == Ceiling::Zero { nothing() } else { Some(own) })
+    };
+    (0..sides.len()).map(best).collect()
 }

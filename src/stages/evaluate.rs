@@ -1,6 +1,7 @@
 //! Predictions of every recorded event, finite elements beside FLARE-T, and all errors against the records as measured.
 
 use super::artifact::{read_json, read_table, write_json, write_table};
+use super::ceiling;
 use super::instrument::{Concern, Instrument, by_event, narrow};
 use super::predict::Predictor;
 use super::{records, replay};
@@ -41,6 +42,9 @@ pub struct Score {
     pub split: Split,
     /// NRMSE, %.
     pub nrmse_percent: Both,
+    /// The same of a filter fitted to the other training events or of nothing, whichever is better on these; `None` with fewer than two.
+    #[serde(default)]
+    pub ceiling_nrmse_percent: Option<f64>,
     /// Coefficient of determination.
     pub r2: Both,
     /// Root-mean-square difference of the ln of the 5 % spectra over 0.10–5.00 s.
@@ -81,7 +85,7 @@ impl Stage for Evaluate {
     }
 
     fn version(&self) -> u32 {
-        1
+        2
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -108,7 +112,7 @@ impl Stage for Evaluate {
         let output_step_s: f64 = task.section("analysis.output_step_s")?;
         let instrument = Instrument::of(task)?;
         let predictors = predictors(task)?;
-        let mut evaluation = Evaluation::default();
+        let (mut evaluation, mut sides) = (Evaluation::default(), Vec::new());
         let found = records::read(task.input("records")?, &settings, &sensors)?.records;
         for (split, event) in by_event(found) {
             for (record, flare_t) in event.iter().zip(predict(&predictors, &instrument, &event)?) {
@@ -116,12 +120,15 @@ impl Stage for Evaluate {
                 let predictor = &predictors[&record.component];
                 let axis = Axis::after(predictor.window(), predictor.step_s());
                 let observed = axis.of_record(record);
+                sides.extend(ceiling::sides(record, split, axis, &observed));
                 let fe = replayed.and_then(|h| axis.of_replay(&h, output_step_s, &observed));
                 let comparison = Comparison { axis, observed, fe, flare_t };
                 comparison.judge(record, split, &mut evaluation);
                 comparison.write(task.output_dir(), record)?;
             }
         }
+        let ceilings = ceiling::filter_nrmse_percent(&sides);
+        evaluation.scores.iter_mut().zip(ceilings).for_each(|(score, ceiling)| score.ceiling_nrmse_percent = ceiling);
         write_json(&task.output_dir().join("evaluation.json"), &evaluation)
     }
 }
@@ -188,6 +195,7 @@ impl Comparison {
                 sensor: sensor.name.clone(),
                 split,
                 nrmse_percent: both(&nrmse_percent),
+                ceiling_nrmse_percent: None,
                 r2: both(&r2),
                 psa_ln_rmse: both(&|p, o| psa_ln_rmse(p, o, self.axis.step_s)),
                 timewise_median_percent: both(&|p, o| Quartiles::of(&timewise_error_percent(p, o)).median),

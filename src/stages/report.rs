@@ -99,6 +99,7 @@ fn metrics(task: &Task<'_>, evaluation: &Evaluation) -> Result<Value> {
                 "event": s.event, "component": s.component, "sensor": s.sensor,
                 "nrmse_percent": pair(&s.nrmse_percent), "r2": pair(&s.r2), "psa_ln_rmse": pair(&s.psa_ln_rmse),
                 "timewise_median_percent": pair(&s.timewise_median_percent),
+                "ceiling_nrmse_percent": s.ceiling_nrmse_percent,
             })
         })
         .collect();
@@ -346,6 +347,7 @@ fn scores(evaluation: &Evaluation) -> Vec<Score> {
             component: s.component.clone(),
             sensor: s.sensor.clone(),
             nrmse_percent: pair(&s.nrmse_percent),
+            ceiling_nrmse_percent: s.ceiling_nrmse_percent,
             r2: pair(&s.r2),
             psa_ln_rmse: pair(&s.psa_ln_rmse),
         })

@@ -164,6 +164,7 @@ fn prediction(event: (&str, usize, f64), component: &str, seed: u64) -> (Predict
             component: component.into(),
             sensor: sensor.into(),
             nrmse_percent: pair(error(&fe).0, error(&flare_t).0),
+            ceiling_nrmse_percent: Some(30.0),
             r2: pair(error(&fe).1, error(&flare_t).1),
             psa_ln_rmse: pair(ln(&spectra[1]), ln(&spectra[2])),
         });
