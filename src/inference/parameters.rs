@@ -8,7 +8,7 @@
 //! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
 //! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and all, [`rayleigh`] |
 //! | frequencies at which it meets the declared ratio | standard deviations | N(0, 1), [`SHIFT_LN`] |
-//! | share of what strays that is of another origin | –   | N(0, 1) between nothing and all                  |
+//! | share of what strays that is of another origin | –   | N(0, [`ADDED_SHARE`]) between nothing and all    |
 //! | a modulus without dispersion | standard deviations | N(0, 1) (`convention`)                             |
 //! | strength of an effect            | that of its catalogue     | N(value of no effect, [`WIDE`] times `Free::size`); half of it where only one sign exists |
 //! | what shapes an effect            | that of its catalogue     | N(start of the place, `Free::size`)              |
@@ -49,6 +49,9 @@ const LEFT_LN: f64 = -2.0;
 /// Prior standard deviation of the ln of the frequencies at which Rayleigh damping in its place meets the declared ratio: programs ask for
 /// it at multiples of the fundamental frequency or at the ends of a band.
 const SHIFT_LN: f64 = 0.5;
+/// Prior standard deviation of the share of what strays that is of another origin: records of strong motion are triggered by it, and what
+/// strays from its base is mostly its own motion.
+const ADDED_SHARE: f64 = 0.1;
 /// Farthest that a declared value is within its tolerance, standard deviations.
 const FARTHEST: f64 = Tolerances::FARTHEST;
 /// Step of a finite difference, prior standard deviations: records tell some coordinates to a hundredth of them, and replays are smooth to
@@ -332,7 +335,8 @@ impl<'a> Model<'a> {
     /// Mean and standard deviation of the prior of each coordinate.
     pub fn prior(&self) -> Vec<[f64; 2]> {
         let effects = self.free().map(prior_of);
-        (0..self.declared.len()).map(|_| [0.0, 1.0]).chain(effects).collect()
+        let sd = |i: usize| if i == self.declared.added() { ADDED_SHARE } else { 1.0 };
+        (0..self.declared.len()).map(|i| [0.0, sd(i)]).chain(effects).collect()
     }
 
     /// Smallest and largest value of each coordinate.

@@ -246,6 +246,11 @@ fn numerical_powers(forward: &Forward<'_>) -> Vec<Vec<Vec<f64>>> {
     forward.records.iter().enumerate().map(of).collect()
 }
 
+/// Expected power of each record, and of what it has beside the base.
+fn expected_in_all(forward: &Forward<'_>, prediction: &Prediction) -> [Powers; 2] {
+    [0.0, 1.0].map(|base| Arc::new(expected_powers(forward, prediction, base)))
+}
+
 /// Power of `x` less so many times the base, smoothed.
 fn beside_base(forward: &Forward<'_>, at: At, x: &[C64], predicted: &Predicted, base: f64) -> Vec<f64> {
     let power: Vec<f64> = x.iter().zip(&predicted.base).map(|(x, u)| (x - base * u).norm_sqr()).collect();
@@ -399,7 +404,7 @@ impl Spread {
         }
         let added_share = prediction.first().map_or(0.0, |p| p.added_share);
         let level = Self::level(&repeatable, model, 1.0);
-        let expected = [0.0, 1.0].map(|base| Arc::new(expected_powers(forward, prediction, base)));
+        let expected = expected_in_all(forward, prediction);
         let channels = channels(prediction).to_vec();
         Self { level, coherence, straying, added_share, repeatable, numerical, expected, channels }
     }
@@ -513,14 +518,26 @@ impl Weights {
     /// Weights of the records by `spread`, the transfer functions those of `prediction`.
     pub fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
         let indices: Vec<usize> = (0..forward.records.len()).collect();
+        // A model that takes other channels for the same sensors expects other powers of them.
+        let expected = if channels(prediction) == spread.channels {
+            spread.expected.clone()
+        } else {
+            expected_in_all(forward, prediction)
+        };
         let all: Vec<(Record, f64)> =
-            indices.par_iter().map(|i| Self::of(forward, spread, *i, &prediction[*i])).collect();
+            indices.par_iter().map(|i| Self::of(forward, spread, &expected, *i, &prediction[*i])).collect();
         let (records, constants): (Vec<Record>, Vec<f64>) = all.into_iter().unzip();
         let stands_for = 1.0 / forward.share;
         Self { records, stands_for, constant: stands_for * constants.iter().sum::<f64>() }
     }
 
-    fn of(forward: &Forward<'_>, spread: &Spread, index: usize, predicted: &Predicted) -> (Record, f64) {
+    fn of(
+        forward: &Forward<'_>,
+        spread: &Spread,
+        expected: &[Powers; 2],
+        index: usize,
+        predicted: &Predicted,
+    ) -> (Record, f64) {
         let at = forward.records[index];
         let f = forward.frequencies_hz(at);
         let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
@@ -530,13 +547,7 @@ impl Weights {
         let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
         let channels = &seen(forward, at).channels;
         let input = running_mean(&powers(&channels[predicted.channels[0]]), half);
-        // Models that take other channels for the same sensors have nothing but their own record to expect its power from.
-        let [recorded, beside] = [0, 1].map(|base: usize| -> Vec<Vec<f64>> {
-            if predicted.channels == spread.channels {
-                return spread.expected[base][index].clone();
-            }
-            predicted.measured.iter().map(|y| beside_base(forward, at, y, predicted, base as f64)).collect()
-        });
+        let [recorded, beside] = expected.each_ref().map(|powers| &powers[index]);
         let wide: Vec<Vec<f64>> = predicted.measured.iter().map(|y| octave_mean(&powers(y), f)).collect();
         let at_bins = |knots: &Vec<f64>| f.iter().map(|f| interpolated(knots, *f, ends)).collect();
         let coherence: Vec<Vec<f64>> = spread.coherence.iter().map(at_bins).collect();

@@ -143,7 +143,8 @@ fn steps_end_at_bounds_where_the_others_give_way() {
         for (i, [low, high]) in bounds.iter().copied().enumerate() {
             assert!((low..=high).contains(&to[i]));
             // Slope of the cost there: nothing inside, and downhill beyond a bound.
-            let slope = (0..n).map(|j| a[(i, j)] * (to[j] - x[j])).sum::<f64>() - (g[(i, n)] - x[i]);
+            let pull = x[i] / model.prior()[i][1].powi(2);
+            let slope = (0..n).map(|j| a[(i, j)] * (to[j] - x[j])).sum::<f64>() - (g[(i, n)] - pull);
             if to[i] == low || to[i] == high {
                 at_bounds += 1;
             } else {
@@ -210,7 +211,8 @@ fn motion_of_another_origin_is_no_lack_of_damping() {
                     "seed {seed}: damping ratio {found:.4}, 0.0500 holds; of another origin {added:.2}, {origin:.0} holds"
                 );
                 assert!((found / 0.05 - 1.0).abs() < 0.1, "seed {seed}: {found}");
-                assert!((added - origin).abs() < 0.25, "seed {seed}: {added}");
+                // The prior of the share holds it below what the records say.
+                assert!(if origin > 0.5 { added > 0.6 } else { added < 0.1 }, "seed {seed}: {added}");
             });
         }
     }
