@@ -153,6 +153,7 @@ impl Replay for Nonlinear<'_> {
     }
 }
 
-fn sample(stream: &mut impl rand::Rng) -> f64 {
+/// A standard normal number.
+pub fn sample(stream: &mut impl rand::Rng) -> f64 {
     StandardNormal.sample(stream)
 }

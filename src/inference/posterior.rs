@@ -134,7 +134,7 @@ impl<'a> Fitter<'a> {
         Ok(Arc::new(prediction))
     }
 
-    /// A prediction of the column alone with what the conventions of `model` at `x` add to it.
+    /// A prediction of the column alone with what the conventions of `model` at `x` add to it, and what it says of another origin.
     fn with_conventions(mut prediction: Prediction, model: &Model<'_>, x: &[f64]) -> Prediction {
         convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
         prediction.iter_mut().for_each(|p| p.added_share = x[model.declared.added()]);

@@ -204,9 +204,30 @@ pub fn band_hz(forward: &Forward<'_>) -> [f64; 2] {
     })
 }
 
-/// Distance of the bins of the shortest record, Hz.
-fn resolution_hz(forward: &Forward<'_>) -> f64 {
-    forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max)
+/// Frequencies as far apart as the shortest record tells them, over the band that all records share.
+#[derive(Debug, Clone, Copy)]
+struct Places {
+    low_hz: f64,
+    step_hz: f64,
+    count: usize,
+}
+
+impl Places {
+    fn of(forward: &Forward<'_>) -> Self {
+        let [low_hz, high_hz] = band_hz(forward);
+        let step_hz = forward.groups.iter().map(|g| g.frequencies_hz[1] - g.frequencies_hz[0]).fold(0.0, f64::max);
+        Self { low_hz, step_hz, count: ((high_hz - low_hz) / step_hz) as usize + 1 }
+    }
+
+    /// The place of a frequency.
+    fn at(&self, frequency_hz: f64) -> usize {
+        (((frequency_hz - self.low_hz) / self.step_hz) as usize).min(self.count - 1)
+    }
+
+    /// Its middle, Hz.
+    fn middle_hz(&self, place: usize) -> f64 {
+        self.low_hz + (place as f64 + 0.5) * self.step_hz
+    }
 }
 
 /// The spectra of a record.
@@ -257,36 +278,34 @@ fn beside_base(forward: &Forward<'_>, at: At, x: &[C64], predicted: &Predicted, 
     running_mean(&power, spectra::smoothing_bins(forward.frequencies_hz(at)))
 }
 
-/// Expected power of each record less so many times its base: that of its prediction, times what the other events have over theirs at the same frequency. What strays
-/// in a record itself must not tell how much counts there, or it would count least where it adds to the prediction.
+/// Expected power of each record less so many times its base: that of its prediction, times what the other events have over theirs at the
+/// same frequency. What strays in a record itself must not tell how much counts there, or it would count least where it adds to the
+/// prediction.
 fn expected_powers(forward: &Forward<'_>, prediction: &Prediction, base: f64) -> Vec<Vec<Vec<f64>>> {
-    let [low_hz, high_hz] = band_hz(forward);
-    let step_hz = resolution_hz(forward);
-    let n_place = ((high_hz - low_hz) / step_hz).floor() as usize + 1;
-    let place_of = |f: f64| (((f - low_hz) / step_hz) as usize).min(n_place - 1);
-    let by_record = forward.records.iter().zip(prediction);
-    let smoothed = |at: At, x: &Vec<C64>, p: &Predicted| beside_base(forward, at, x, p, base);
-    // Recorded and predicted power by event and place.
+    let places = Places::of(forward);
     let of_sensor = |s: usize| -> Vec<Vec<f64>> {
-        let both: Vec<[Vec<f64>; 2]> =
-            by_record.clone().map(|(at, p)| [&p.measured[s], &p.outputs[s]].map(|x| smoothed(*at, x, p))).collect();
-        let mut events = vec![vec![[0.0; 2]; n_place]; forward.groups.len()];
+        let both =
+            |(at, p): (&At, &Predicted)| [&p.measured[s], &p.outputs[s]].map(|x| beside_base(forward, *at, x, p, base));
+        let both: Vec<[Vec<f64>; 2]> = forward.records.iter().zip(prediction).map(both).collect();
+        // Recorded and predicted power by event and place.
+        let mut events = vec![vec![[0.0; 2]; places.count]; forward.groups.len()];
         for (at, [recorded, predicted]) in forward.records.iter().zip(&both) {
             let total: f64 = recorded.iter().sum::<f64>().max(f64::MIN_POSITIVE);
             for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
-                let sums = &mut events[at.group][place_of(*f)];
+                let sums = &mut events[at.group][places.at(*f)];
                 sums[0] += recorded[k] / total;
                 sums[1] += predicted[k] / total;
             }
         }
         let add = |a: [f64; 2], b: [f64; 2]| [a[0] + b[0], a[1] + b[1]];
-        let others = |group: usize, place: usize| {
-            let others = events.iter().enumerate().filter(|(g, _)| *g != group);
-            others.map(|(_, e)| e[place]).fold([0.0; 2], add)
+        let others = |group: usize| -> Vec<[f64; 2]> {
+            let others = || events.iter().enumerate().filter(|(g, _)| *g != group);
+            (0..places.count).map(|place| others().map(|(_, e)| e[place]).fold([0.0; 2], add)).collect()
         };
+        let others: Vec<Vec<[f64; 2]>> = (0..events.len()).map(others).collect();
         let of = |(at, [recorded, predicted]): (&At, &[Vec<f64>; 2])| {
             let value = |(k, f): (usize, &f64)| {
-                let [has, foretold] = others(at.group, place_of(*f));
+                let [has, foretold] = others[at.group][places.at(*f)];
                 if has > 0.0 && foretold > 0.0 { predicted[k] * has / foretold } else { recorded[k] }
             };
             forward.frequencies_hz(*at).iter().enumerate().map(value).collect()
@@ -322,8 +341,8 @@ impl Spread {
     /// ```
     ///
     /// ω counts what is seen at the declared error: what is missing is not to be taken for an error of the column before it has a name.
-    /// Sums of (1) are over the bins of a band and all records, each weighted by its power, n their number; those of (2) over the bins of
-    /// the shortest record's resolution; v is what noise and straying make of δ by chance. ν values of δ count for the declared error m.
+    /// Sums of (1) are over the bins of a band and all records, each weighted by its power, of which n are independent; those of (2) over the
+    /// bins of the shortest record's resolution; v is what noise and straying make of δ by chance. ν values of δ count for the declared error m.
     pub fn estimated(forward: &Forward<'_>, prediction: &Prediction) -> Self {
         let n_sensor = forward.problem.array.outputs.len();
         let ends = band_hz(forward);
@@ -331,17 +350,14 @@ impl Spread {
         let n_band = ((ends[1] / ends[0]).log2() * AN_OCTAVE).ceil().max(1.0) as usize;
         let at_hz = |b: usize| ends[0] * (ends[1] / ends[0]).powf((b as f64 + 0.5) / n_band as f64);
         let band_of = |f: f64| (((f / ends[0]).log2() * AN_OCTAVE) as usize).min(n_band - 1);
-        // As narrow as the shortest record tells apart.
-        let step_hz = resolution_hz(forward);
-        let n_place = ((ends[1] - ends[0]) / step_hz).floor() as usize + 1;
-        let place_of = |f: f64| (((f - ends[0]) / step_hz) as usize).min(n_place - 1);
+        let places = Places::of(forward);
         let gain: Vec<Bins> = prediction.iter().map(|p| gains(p, RESOLUTION)).collect();
         let by_sensor = |(at, p): (&At, &Predicted)| p.channels.iter().map(|c| noise(forward, *at, *c)).collect();
         let noises: Vec<Vec<Vec<f64>>> = forward.records.iter().zip(prediction).map(by_sensor).collect();
         let numerical = Arc::new(numerical_powers(forward));
         let (mut coherence, mut straying, mut repeatable) = (Vec::new(), Vec::new(), Vec::new());
         for s in 0..n_sensor {
-            // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of bins, by band.
+            // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of independent bins, by band.
             let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
             let each = |of: &mut dyn FnMut(Bin)| {
                 let records = forward.records.iter().zip(prediction).zip(&gain).zip(&noises).zip(&*numerical);
@@ -370,7 +386,7 @@ impl Spread {
                 m.2 += bin.recorded * bin.predicted.conj() * bin.weight;
                 m.3 += bin.lasting;
             });
-            let (mut knots, mut powers) = ([[1e-9, 1e-9]; KNOTS], [[0.0, f64::MIN_POSITIVE]; KNOTS]);
+            let (mut knots, mut shares) = ([[1e-9, 1e-9]; KNOTS], [[0.0, f64::MIN_POSITIVE]; KNOTS]);
             for (b, (recorded, predicted, cross, n)) in moments.iter().enumerate().filter(|(_, m)| m.3 >= 2.0) {
                 let gamma = cross.norm_sqr() / (predicted.max(FLOOR) * recorded.max(FLOOR));
                 let square = ((gamma - 1.0 / n) / (1.0 - 1.0 / n)).clamp(0.0, 1.0);
@@ -378,29 +394,29 @@ impl Spread {
                 for (j, w) in [(i, 1.0 - w), (i + 1, w)] {
                     knots[j][0] += w * n * square;
                     knots[j][1] += w * n;
-                    powers[j][0] += w * recorded.max(0.0) * (1.0 - square);
-                    powers[j][1] += w * recorded.max(0.0);
+                    shares[j][0] += w * recorded.max(0.0) * (1.0 - square);
+                    shares[j][1] += w * recorded.max(0.0);
                 }
             }
             let own: Vec<f64> = knots.iter().map(|[a, b]| (a / b).sqrt().max(LEAST_COHERENCE)).collect();
             // Σ r a*, Σ |a|², Σ v |a|², by place: what arrives late turns quickly with frequency.
-            let mut shared = vec![(C64::default(), 0.0, 0.0); n_place];
+            let mut shared = vec![(C64::default(), 0.0, 0.0); places.count];
             each(&mut |bin| {
                 let (added, c, w) = (bin.predicted - bin.base, interpolated(&own, bin.f_hz, ends), bin.weight);
-                let m = &mut shared[place_of(bin.f_hz)];
+                let m = &mut shared[places.at(bin.f_hz)];
                 m.0 += (bin.recorded - coherent(c, bin.added_share) * bin.predicted) * added.conj() * w;
                 m.1 += w * added.norm_sqr();
                 let strays = (1.0 - c * c) * bin.recorded.norm_sqr();
                 m.2 += w * w * added.norm_sqr() * (bin.noise + bin.predicted_noise + strays);
             });
-            let mut places = Vec::new();
+            let mut own_places = Vec::new();
             for (k, (cross, square, strays)) in shared.into_iter().enumerate().filter(|(_, m)| m.1 > 0.0) {
                 let (delta, chance) = (cross / square, strays / (square * square));
-                places.push(Shared { f_hz: ends[0] + (k as f64 + 0.5) * step_hz, delta, chance });
+                own_places.push(Shared { f_hz: places.middle_hz(k), delta, chance });
             }
             coherence.push(own);
-            straying.push(powers.iter().map(|[strays, all]| strays / all).collect());
-            repeatable.push(places);
+            straying.push(shares.iter().map(|[strays, all]| strays / all).collect());
+            repeatable.push(own_places);
         }
         let added_share = prediction.first().map_or(0.0, |p| p.added_share);
         let level = Self::level(&repeatable, model, 1.0);
@@ -458,7 +474,7 @@ impl Spread {
 pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &Spread) -> [f64; 3] {
     let mut sums = [0.0; 3];
     let ends = band_hz(forward);
-    let half_hz = 0.5 * resolution_hz(forward);
+    let half_hz = 0.5 * Places::of(forward).step_hz;
     for ((at, p), numerical) in forward.records.iter().zip(prediction).zip(&*spread.numerical) {
         let gain = gains(p, RESOLUTION);
         let input = noise(forward, *at, p.channels[0]);
@@ -497,21 +513,20 @@ pub fn below(forward: &Forward<'_>, rows: &Rows, high_hz: f64) -> Rows {
 /// Where the power of `rows` stands out most over that at the frequencies around, and how far apart records tell frequencies, Hz.
 pub fn line_hz(forward: &Forward<'_>, rows: &Rows) -> Option<(f64, f64)> {
     let n_sensor = forward.problem.array.outputs.len();
-    let ([low_hz, high_hz], width_hz) = (band_hz(forward), resolution_hz(forward));
-    let count = ((high_hz - low_hz) / width_hz) as usize + 1;
-    let mut power = vec![0.0; count];
+    let places = Places::of(forward);
+    let mut power = vec![0.0; places.count];
     for (at, rows) in forward.records.iter().zip(rows) {
         for (f, bin) in forward.frequencies_hz(*at).iter().zip(rows.chunks(2 * n_sensor)) {
-            power[(((f - low_hz) / width_hz) as usize).min(count - 1)] += bin.iter().map(|r| r * r).sum::<f64>();
+            power[places.at(*f)] += bin.iter().map(|r| r * r).sum::<f64>();
         }
     }
     let around = |k: usize| {
-        let ends = k.saturating_sub(LINE_NEIGHBOURS[1])..(k + LINE_NEIGHBOURS[1] + 1).min(count);
+        let ends = k.saturating_sub(LINE_NEIGHBOURS[1])..(k + LINE_NEIGHBOURS[1] + 1).min(places.count);
         let others: Vec<f64> = ends.filter(|j| j.abs_diff(k) >= LINE_NEIGHBOURS[0]).map(|j| power[j]).collect();
         if others.is_empty() { f64::INFINITY } else { median(&others).max(f64::MIN_POSITIVE) }
     };
-    let best = (0..count).max_by(|a, b| (power[*a] / around(*a)).total_cmp(&(power[*b] / around(*b))))?;
-    Some((low_hz + (best as f64 + 0.5) * width_hz, width_hz))
+    let best = (0..places.count).max_by(|a, b| (power[*a] / around(*a)).total_cmp(&(power[*b] / around(*b))))?;
+    Some((places.middle_hz(best), places.step_hz))
 }
 
 impl Weights {

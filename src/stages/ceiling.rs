@@ -2,14 +2,14 @@
 //!
 //! A training event is predicted from the other training events, every other event from all of them.
 
-use super::evaluate::{self, Axis};
+use super::evaluate;
 use super::side_by_side::{Channel, Measured};
 use crate::dataset::Coarse;
 use crate::metrics::{
     Ceiling, FreeFilter, History, MatchedFilter, Measures, Pair, coherent_nrmse_percent, ln_psa_by_s, psa_periods_s,
 };
 use crate::metrics::{DAMPING, psa};
-use crate::records::{Record, Split};
+use crate::records::{Record, Sensor, Split};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 
@@ -40,13 +40,14 @@ pub fn ceilings(
     coherence: &BTreeMap<String, Vec<[f64; 2]>>,
     scored_hz: [f64; 2],
 ) -> Vec<CeilingErrors> {
+    let places: Vec<Place<'_>> = channels.iter().map(place).collect();
     let periods_s = psa_periods_s();
     let input_psa: Vec<Vec<f64>> =
         channels.par_iter().map(|c| psa(&c.fine.input, c.fine.dt_s, DAMPING, &periods_s)).collect();
     let filtered: Vec<Option<Filtered>> = (0..channels.len())
         .into_par_iter()
         .map(|i| {
-            let others = others(channels, i);
+            let others = others(&places, i);
             let channel = &channels[i];
             let pairs: Vec<Pair<'_>> = others.iter().map(|o| pair(&channels[*o])).collect();
             let free = FreeFilter::of(&pairs, channel.coarse.dt_s)?;
@@ -75,23 +76,21 @@ pub fn ceilings(
             })
         })
         .collect();
-    (0..channels.len()).map(|i| reached(channels, &filtered, i, coherence)).collect()
+    (0..channels.len()).map(|i| reached(channels, &places, &filtered, i, coherence)).collect()
 }
 
 fn reached(
     channels: &[Channel],
+    places: &[Place<'_>],
     filtered: &[Option<Filtered>],
     i: usize,
     coherence: &BTreeMap<String, Vec<[f64; 2]>>,
 ) -> CeilingErrors {
     let Some(own) = &filtered[i] else { return CeilingErrors::default() };
     let coarse = &channels[i].coarse;
-    let training: Vec<usize> = (0..channels.len())
-        .filter(|t| channels[*t].split == Split::Train && is_same_place(&channels[*t], &channels[i]))
-        .collect();
     let errors = |of: fn(&Filtered) -> &Vec<f64>| -> Vec<f64> {
-        let error = |t: &usize| evaluate::nrmse(of(filtered[*t].as_ref()?), &channels[*t].coarse.observed);
-        training.iter().filter_map(error).collect()
+        let error = |t: usize| evaluate::nrmse(of(filtered[t].as_ref()?), &channels[t].coarse.observed);
+        training(places, i).filter_map(error).collect()
     };
     let nothing = vec![0.0; coarse.observed.len()];
     let best = match Ceiling::chosen(&errors(|f| &f.free), &errors(|f| &f.matched)) {
@@ -108,15 +107,27 @@ fn reached(
     }
 }
 
-/// Training events that may predict channel `i`.
-fn others(channels: &[Channel], i: usize) -> Vec<usize> {
-    let is_other =
-        |o: &usize| *o != i && channels[*o].split == Split::Train && is_same_place(&channels[*o], &channels[i]);
-    (0..channels.len()).filter(is_other).collect()
+/// What an event of one sensor in one component was used for.
+#[derive(Clone, Copy)]
+struct Place<'a> {
+    component: &'a str,
+    sensor: &'a str,
+    split: Split,
 }
 
-fn is_same_place(a: &Channel, b: &Channel) -> bool {
-    a.component == b.component && a.sensor == b.sensor
+/// Training events of the sensor and component of place `i`.
+fn training(places: &[Place<'_>], i: usize) -> impl Iterator<Item = usize> {
+    let is_alike = move |p: &Place<'_>| p.component == places[i].component && p.sensor == places[i].sensor;
+    (0..places.len()).filter(move |t| places[*t].split == Split::Train && is_alike(&places[*t]))
+}
+
+/// Those that may predict it: all but itself.
+fn others(places: &[Place<'_>], i: usize) -> Vec<usize> {
+    training(places, i).filter(|o| *o != i).collect()
+}
+
+fn place(channel: &Channel) -> Place<'_> {
+    Place { component: &channel.component, sensor: &channel.sensor, split: channel.split }
 }
 
 fn pair(channel: &Channel) -> Pair<'_> {
@@ -135,15 +146,24 @@ pub struct Side {
     observed: Vec<f64>,
 }
 
-/// The sides of `record`, one a sensor; `observed` is what its sensors recorded on `axis`.
-pub fn sides(record: &Record, split: Split, axis: Axis, observed: &[Vec<f64>]) -> Vec<Side> {
-    let input = Coarse::of_record(record, axis.step_s).base_m_s2;
-    let of = |(sensor, observed): (&crate::records::Sensor, &Vec<f64>)| Side {
+impl Side {
+    fn place(&self) -> Place<'_> {
+        Place { component: &self.component, sensor: &self.sensor, split: self.split }
+    }
+
+    fn pair(&self) -> Pair<'_> {
+        Pair { input: &self.input, output: &self.observed }
+    }
+}
+
+/// The sides of `record`, one a sensor; `coarse` is that at the step of FLARE-T and `observed` what its sensors recorded after the window.
+pub fn sides(record: &Record, split: Split, coarse: &Coarse, observed: &[Vec<f64>]) -> Vec<Side> {
+    let of = |(sensor, observed): (&Sensor, &Vec<f64>)| Side {
         split,
         component: record.component.clone(),
         sensor: sensor.name.clone(),
-        step_s: axis.step_s,
-        input: input.clone(),
+        step_s: coarse.dt_s,
+        input: coarse.base_m_s2.clone(),
         observed: observed.clone(),
     };
     record.outputs.iter().zip(observed).map(of).collect()
@@ -152,21 +172,19 @@ pub fn sides(record: &Record, split: Split, axis: Axis, observed: &[Vec<f64>]) -
 /// NRMSE of each side, %, by a filter fitted to the other training events of its sensor and component, or by nothing where that is better
 /// on average over the training events; `None` with fewer than two other training events.
 pub fn filter_nrmse_percent(sides: &[Side]) -> Vec<Option<f64>> {
-    let is_alike = |a: &Side, b: &Side| a.component == b.component && a.sensor == b.sensor;
+    let places: Vec<Place<'_>> = sides.iter().map(Side::place).collect();
     let filtered = |i: usize| {
-        let is_other = |o: &usize| *o != i && sides[*o].split == Split::Train && is_alike(&sides[*o], &sides[i]);
-        let others = (0..sides.len()).filter(is_other);
-        let pairs: Vec<Pair<'_>> =
-            others.map(|o| Pair { input: &sides[o].input, output: &sides[o].observed }).collect();
-        let own = Pair { input: &sides[i].input, output: &sides[i].observed };
-        Some(FreeFilter::of(&pairs, sides[i].step_s)?.nrmse_percent(&own)).filter(|v| v.is_finite())
+        let pairs: Vec<Pair<'_>> = others(&places, i).into_iter().map(|o| sides[o].pair()).collect();
+        let filter = FreeFilter::of(&pairs, sides[i].step_s)?;
+        Some(filter.nrmse_percent(&sides[i].pair())).filter(|v| v.is_finite())
     };
     let filtered: Vec<Option<f64>> = (0..sides.len()).into_par_iter().map(filtered).collect();
     let best = |i: usize| {
-        let training = (0..sides.len()).filter(|t| sides[*t].split == Split::Train && is_alike(&sides[*t], &sides[i]));
-        let errors: Vec<f64> = training.filter_map(|t| filtered[t]).collect();
-        let nothing = || evaluate::nrmse(&vec![0.0; sides[i].observed.len()], &sides[i].observed);
-        filtered[i].and_then(|own| if Ceiling::chosen(&errors, &[]) == Ceiling::Zero { nothing() } else { Some(own) })
+        let own = filtered[i]?;
+        let errors: Vec<f64> = training(&places, i).filter_map(|t| filtered[t]).collect();
+        let observed = &sides[i].observed;
+        let is_nothing = Ceiling::chosen(&errors, &[]) == Ceiling::Zero;
+        if is_nothing { evaluate::nrmse(&vec![0.0; observed.len()], observed) } else { Some(own) }
     };
     (0..sides.len()).map(best).collect()
 }

@@ -274,8 +274,9 @@ impl<'a> Passes<'a> {
 
     /// What was recorded and predicted at every output sensor; `noise` is that of all sensors, the input sensor first.
     fn beside(&self, record: &Record, noise: &[NoiseSpectrum], split: Split) -> Result<Vec<side_by_side::Channel>> {
-        let observed = self.axis.of_record(record);
-        let input = Coarse::of_record(record, self.axis.step_s).base_m_s2;
+        let on_axis = Coarse::of_record(record, self.axis.step_s);
+        let observed = self.axis.of_coarse(&on_axis);
+        let input = on_axis.base_m_s2;
         let mut fine = BTreeMap::new();
         let mut coarse = BTreeMap::new();
         let mut best = None;

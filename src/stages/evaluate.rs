@@ -119,8 +119,9 @@ impl Stage for Evaluate {
                 let replayed = replay::read(task.input("replay")?, &record.event, &record.component)?;
                 let predictor = &predictors[&record.component];
                 let axis = Axis::after(predictor.window(), predictor.step_s());
-                let observed = axis.of_record(record);
-                sides.extend(ceiling::sides(record, split, axis, &observed));
+                let coarse = Coarse::of_record(record, axis.step_s);
+                let observed = axis.of_coarse(&coarse);
+                sides.extend(ceiling::sides(record, split, &coarse, &observed));
                 let fe = replayed.and_then(|h| axis.of_replay(&h, output_step_s, &observed));
                 let comparison = Comparison { axis, observed, fe, flare_t };
                 comparison.judge(record, split, &mut evaluation);
@@ -269,7 +270,12 @@ impl Axis {
 
     /// The output sensors of a record on this axis.
     pub fn of_record(&self, record: &Record) -> Vec<Vec<f64>> {
-        Coarse::of_record(record, self.step_s).sensors().iter().map(|h| self.cut(h)).collect()
+        self.of_coarse(&Coarse::of_record(record, self.step_s))
+    }
+
+    /// The same of a record at the step of this axis.
+    pub fn of_coarse(&self, coarse: &Coarse) -> Vec<Vec<f64>> {
+        coarse.sensors().iter().map(|h| self.cut(h)).collect()
     }
 
     /// A replay with step `dt_s` on this axis, as long as the record on it; `None` where it ends early.

@@ -3,12 +3,11 @@
 use super::*;
 use crate::diagnosis::{DiagnoseSettings, Problem};
 use crate::effects;
-use crate::inference::made_up::{DAMPING, Nonlinear, Truth, Uniform, problem};
+use crate::inference::made_up::{DAMPING, Nonlinear, Truth, Uniform, problem, sample};
 use crate::inference::parameters::Declared;
 use crate::metrics::rms;
 use crate::numerics::random;
 use rand::RngExt;
-use rand_distr::{Distribution, StandardNormal};
 
 /// Fits the model with effects of `kinds` to `problem`, what is expected of residuals read off in turn.
 fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl for<'x> FnOnce(&Fit<'x>, &Fitter<'x>) -> T) -> T {
@@ -36,10 +35,6 @@ fn damping_ratio(fit: &Fit<'_>) -> f64 {
     let tolerance = declared.others.iter().position(|o| o.instance.kind == "small_strain_damping").unwrap();
     let tolerated = declared.others[tolerance].coordinate(fit.x[declared.n_mode() + tolerance]);
     DAMPING * (fit.x[fit.model.start(0)] + tolerated).exp()
-}
-
-fn normal_draw(stream: &mut impl rand::Rng) -> f64 {
-    StandardNormal.sample(stream)
 }
 
 fn straying(f: f64) -> f64 {
@@ -199,7 +194,7 @@ fn motion_of_another_origin_is_no_lack_of_damping() {
         let mut stream = random::stream(seed, "another origin");
         for y in on_top.events.iter_mut().flat_map(|event| &mut event.outputs) {
             let envelope = |i: usize| (-((i as f64 - 700.0) / 250.0).powi(2)).exp();
-            let other: Vec<f64> = (0..y.len()).map(|i| envelope(i) * normal_draw(&mut stream)).collect();
+            let other: Vec<f64> = (0..y.len()).map(|i| envelope(i) * sample(&mut stream)).collect();
             let scale = share * rms(y) / rms(&other);
             y.iter_mut().zip(other).for_each(|(y, v)| *y += scale * v);
         }
