@@ -8,7 +8,7 @@ use super::intervals::{Member, NORMAL, averaged, half_widths};
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
 use super::recalibration::recalibrated;
-use super::weights::{Spread, band_hz, residual_powers};
+use super::spread::{Spread, band_hz, residual_powers};
 use crate::diagnosis::{
     Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, ToleranceAlarm,
     Verdict,

@@ -86,7 +86,7 @@ impl Declared {
 #[cfg(test)]
 mod tests {
     use super::super::made_up::{Truth, Uniform, problem};
-    use super::super::weights::Spread;
+    use super::super::spread::Spread;
     use super::*;
     use crate::diagnosis::DiagnoseSettings;
 

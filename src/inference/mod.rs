@@ -2,7 +2,7 @@
 //!
 //! Declared values that may be off within their tolerances and effects of a catalogue are parameters with priors (`parameters`). What is
 //! expected of residuals (noise, a field that is partly incoherent, a column that is not exact) is read off the records beside the model
-//! that leaves least and is one for all models (`weights`), so that a fit is nonlinear least squares (`posterior`) and models compete by
+//! that leaves least (`spread`) and is one for all models (`weights`), so that a fit is nonlinear least squares (`posterior`) and models compete by
 //! their evidence (`competition`). Values are replays of the column (`forward`); slopes are those of the equivalent-linear column
 //! (`equivalent`) until a step does something else than they foretold, and replays where a fit ends. What other programs make of the same
 //! column is no effect (`convention`). The answer says what is named and what remains (`answer`).
@@ -27,6 +27,7 @@ mod parameters;
 mod posterior;
 mod power;
 mod recalibration;
+mod spread;
 mod weights;
 
 pub use answer::diagnose;

@@ -3,7 +3,7 @@
 use super::forward::Forward;
 use super::parameters::{Declared, Model};
 use super::posterior::{Fitter, Start, Stop};
-use super::weights::Spread;
+use super::spread::Spread;
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
 use crate::error::Result;
 use toml::Table;
