@@ -3,7 +3,7 @@
 use crate::column::{Analysis, BaseMotion, Column, Layer, Profile};
 use crate::dataset::all_sensor_histories;
 use crate::diagnosis::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay, Tolerances};
-use crate::effects::{self, Array, Channels, Direction, Recording, Situation};
+use crate::effects::{self, Array, Channels, Direction, Effect, Recording, Situation};
 use crate::error::Result;
 use crate::numerics::{random, spectrum};
 use crate::records::Split;
@@ -94,14 +94,7 @@ pub fn problem(truth: &Truth<'_>) -> Problem {
             }
         }
         let names: Vec<String> = array.sensors().map(String::from).collect();
-        let recording = Recording {
-            event: &name,
-            dt_s: DT_S,
-            sensors: &names,
-            depths_m: &[DEPTH_M, 20.0, 0.0],
-            components: &array.components,
-        };
-        let mut recorded = effects::observe(&recording, &motions, &built, Direction::Distort);
+        let mut recorded = effects::observe(&recording(&array, &name, &names), &motions, &built, Direction::Distort);
         recorded.iter_mut().flatten().flatten().for_each(|v| *v += truth.noise_m_s2 * sample(&mut stream));
         for c in 0..2 {
             events.push(Event {
@@ -118,6 +111,24 @@ pub fn problem(truth: &Truth<'_>) -> Problem {
     Problem { array, declared: Vec::new(), tolerances: Tolerances::default(), events }
 }
 
+/// How the sensors of the made-up site recorded an event.
+fn recording<'r>(array: &'r Array, event: &'r str, sensors: &'r [String]) -> Recording<'r> {
+    Recording { event, dt_s: DT_S, sensors, depths_m: &[DEPTH_M, 20.0, 0.0], components: &array.components }
+}
+
+/// Motion of the base in each record, what sensors did to it undone.
+fn bases(problem: &Problem, built: &[Box<dyn Effect>]) -> Vec<Vec<f64>> {
+    let names: Vec<String> = problem.array.sensors().map(String::from).collect();
+    let undone = |both: &[Event]| {
+        let channels =
+            |s: usize| both.iter().map(move |e| if s == 0 { e.input.clone() } else { e.outputs[s - 1].clone() });
+        let recorded: Vec<Channels> = (0..names.len()).map(|s| channels(s).collect()).collect();
+        let recording = recording(&problem.array, &both[0].name, &names);
+        effects::observe(&recording, &recorded, built, Direction::Undo).swap_remove(0)
+    };
+    problem.events.chunks(2).flat_map(undone).collect()
+}
+
 /// Replays the uniform column, which knows one velocity and one damping ratio.
 pub struct Uniform<'a>(pub &'a Problem);
 
@@ -129,11 +140,11 @@ impl Replay for Uniform<'_> {
         };
         let vs_m_s = 200.0 * of("layer_velocity", "ln_factor").sum::<f64>().exp();
         let damping_ratio = DAMPING * of("small_strain_damping", "multiplier").product::<f64>();
-        let passed = |event: &Event| {
-            let at = |z: &f64| moved(&event.input, [vs_m_s, damping_ratio], *z);
+        let passed = |base: &Vec<f64>| {
+            let at = |z: &f64| moved(base, [vs_m_s, damping_ratio], *z);
             Some(self.0.array.depths_m.iter().map(at).collect())
         };
-        Ok(self.0.events.iter().map(passed).collect())
+        Ok(bases(self.0, &effects::build_all(tables)?).iter().map(passed).collect())
     }
 }
 

@@ -1,10 +1,12 @@
 //! What is expected of residuals, read off the records beside one prediction: how far the field follows its base, what strays, and what
 //! the column has wrong.
 
+use super::algebra;
 use super::forward::{At, Bins, Forward, Predicted, Prediction, channels};
 use crate::diagnosis::spectra::{self, RecordSpectra};
 use crate::diagnosis::{NoiseSource, USUAL_SHARE};
 use crate::numerics::smooth::running_mean;
+use faer::Mat;
 use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::ops::Range;
@@ -24,6 +26,16 @@ const RESOLUTION: usize = 1;
 const PRIOR_VALUES: f64 = 10.0;
 /// Steps towards the level of that error.
 const LEVEL_STEPS: usize = 20;
+/// Fewest independent bins of a band that tell of its coherence.
+const LEAST_INDEPENDENT: f64 = 2.0;
+/// How far below one a squared coherence is expected at most: the deviation of a half-normal prior.
+const INCOHERENCE: f64 = 0.5;
+/// How far apart the squared coherences of neighbouring knots are expected: the deviation of a normal prior.
+const ROUGHNESS: f64 = 0.25;
+/// How far a band may be off the line between knots, in squared coherence.
+const UNEVEN: f64 = 0.05;
+/// Steps towards the coherence.
+const COHERENCE_STEPS: usize = 5;
 /// Smallest coherence that is still told from none.
 const LEAST_COHERENCE: f64 = 0.05;
 /// Least error of a column.
@@ -100,6 +112,105 @@ pub(super) fn bands(frequencies_hz: &[f64]) -> Vec<Range<usize>> {
     all
 }
 
+/// Sums over the bins of a band in all records, each weighted by the power of its record.
+#[derive(Debug, Clone, Copy, Default)]
+struct Moments {
+    f_hz: f64,
+    /// Σ |Y|² and Σ |Ŷ|², and what noise makes of them.
+    recorded: f64,
+    predicted: f64,
+    noise: [f64; 2],
+    /// Σ Y Ŷ*.
+    cross: C64,
+    /// Number of independent bins.
+    n: f64,
+}
+
+impl Moments {
+    fn add(&mut self, bin: &Bin) {
+        self.recorded += bin.weight * bin.recorded.norm_sqr();
+        self.predicted += bin.weight * bin.predicted.norm_sqr();
+        self.noise[0] += bin.weight * bin.noise;
+        self.noise[1] += bin.weight * bin.predicted_noise;
+        self.cross += bin.recorded * bin.predicted.conj() * bin.weight;
+        self.n += bin.lasting;
+    }
+
+    /// Power of noise over that of the motion, recorded and predicted together; none where nothing is left beside noise.
+    fn noise_ratio(&self) -> Option<f64> {
+        let [recorded, predicted] = [self.recorded - self.noise[0], self.predicted - self.noise[1]];
+        let has_motion = recorded > FLOOR && predicted > FLOOR;
+        has_motion.then(|| self.recorded * self.predicted / (recorded * predicted) - 1.0)
+    }
+
+    /// Squared coherence of the motion; none where too few bins tell. Chance takes it beyond one, too.
+    fn squared_coherence(&self) -> Option<f64> {
+        let gamma = self.cross.norm_sqr() / (self.recorded * self.predicted).max(FLOOR);
+        let less_chance = (gamma - 1.0 / self.n) / (1.0 - 1.0 / self.n);
+        (self.n >= LEAST_INDEPENDENT).then_some((1.0 + self.noise_ratio()?) * less_chance)
+    }
+}
+
+/// Share of the power that strays, at the knots.
+fn straying_at_knots(moments: &[Moments], ends_hz: [f64; 2]) -> Vec<f64> {
+    let mut shares = [[0.0, f64::MIN_POSITIVE]; KNOTS];
+    for m in moments {
+        let Some(square) = m.squared_coherence() else { continue };
+        let (i, w) = hat(m.f_hz, ends_hz);
+        let motion = m.recorded - m.noise[0];
+        for (j, w) in [(i, 1.0 - w), (i + 1, w)] {
+            shares[j][0] += w * motion * (1.0 - square.clamp(0.0, 1.0));
+            shares[j][1] += w * motion;
+        }
+    }
+    shares.iter().map(|[strays, all]| strays / all).collect()
+}
+
+/// Coherence at the knots: squared, it is the line through that of the bands that is as smooth as [`ROUGHNESS`] says and no further below
+/// one than [`INCOHERENCE`] says, as far as bands tell.
+///
+/// ```text
+/// C²  = (1 + ν) (γ² − 1/n)/(1 − 1/n),   γ² = |Σ Y Ŷ*|² / (Σ |Ŷ|² Σ |Y|²)
+/// var = (1 + ν)² (1 − g)² (2 g + 1/n)/n + (C² ν)² + 0.05²,   g = C²/(1 + ν)
+/// ```
+///
+/// Sums are over the bins of a band in all records, each weighted by the power of its record; n of them are independent. ν is the ratio
+/// of noise to motion, known no better than to a factor of two: where noise prevails a band tells nothing, and the line goes on as it came.
+/// The variance is taken at the line and not at each band, where what chance raised would count for more.
+///
+/// Source: Bendat and Piersol (2010), Random Data, for the variance of γ².
+fn coherence_at_knots(moments: &[Moments], ends_hz: [f64; 2]) -> Vec<f64> {
+    let told = |m: &Moments| Some((hat(m.f_hz, ends_hz), m.n, m.noise_ratio()?, m.squared_coherence()?));
+    let told: Vec<((usize, f64), f64, f64, f64)> = moments.iter().filter_map(told).collect();
+    let mut square = vec![1.0; KNOTS];
+    for _ in 0..COHERENCE_STEPS {
+        let mut a = Mat::<f64>::from_fn(KNOTS, KNOTS, |i, j| if i == j { INCOHERENCE.powi(-2) } else { 0.0 });
+        let mut b = vec![INCOHERENCE.powi(-2); KNOTS];
+        for i in 1..KNOTS {
+            let stiffness = ROUGHNESS.powi(-2);
+            a[(i, i)] += stiffness;
+            a[(i - 1, i - 1)] += stiffness;
+            a[(i, i - 1)] -= stiffness;
+            a[(i - 1, i)] -= stiffness;
+        }
+        for ((i, w), n, ratio, value) in &told {
+            let line = square[*i] * (1.0 - w) + square[i + 1] * w;
+            let g = (line / (1.0 + ratio)).min(1.0);
+            let of_chance = ((1.0 + ratio) * (1.0 - g)).powi(2) * (2.0 * g + 1.0 / n) / n;
+            let weight = 1.0 / (of_chance + (line * ratio).powi(2) + UNEVEN * UNEVEN);
+            for (j, u) in [(*i, 1.0 - w), (i + 1, *w)] {
+                b[j] += weight * u * value;
+                for (k, v) in [(*i, 1.0 - w), (i + 1, *w)] {
+                    a[(j, k)] += weight * u * v;
+                }
+            }
+        }
+        let Some(solved) = algebra::solved(&a, &b) else { break };
+        square = solved.into_iter().map(|q| q.clamp(LEAST_COHERENCE.powi(2), 1.0)).collect();
+    }
+    square.into_iter().map(f64::sqrt).collect()
+}
+
 /// Hat functions over ln f with [`KNOTS`] knots: the knot below and the share of the one above.
 fn hat(frequency_hz: f64, [low, high]: [f64; 2]) -> (usize, f64) {
     let x = (frequency_hz / low).ln() / (high / low).ln() * (KNOTS - 1) as f64;
@@ -163,7 +274,7 @@ pub(super) fn seen<'f>(forward: &'f Forward<'_>, at: At) -> &'f RecordSpectra {
 }
 
 /// One value for each bin, `[record][sensor][bin]`.
-pub(super) type Powers = Arc<Vec<Vec<Vec<f64>>>>;
+type Powers = Arc<Vec<Vec<Vec<f64>>>>;
 
 /// Expected |noise|² of each bin of a channel: what the record shows of it before its event; or white, a share of the RMS within the
 /// band and nowhere more than what was recorded there, for processing may have emptied part of the band.
@@ -192,11 +303,6 @@ fn numerical_powers(forward: &Forward<'_>) -> Vec<Vec<Vec<f64>>> {
         (0..n_sensor).map(sensor).collect()
     };
     forward.records.iter().enumerate().map(of).collect()
-}
-
-/// Expected power of each record, and of what it has beside the base.
-pub(super) fn expected_in_all(forward: &Forward<'_>, prediction: &Prediction) -> [Powers; 2] {
-    [0.0, 1.0].map(|base| Arc::new(expected_powers(forward, prediction, base)))
 }
 
 /// Power of `x` less so many times the base, smoothed.
@@ -262,14 +368,13 @@ impl Spread {
     /// What the residuals of `prediction` show.
     ///
     /// ```text
-    /// γ² = |Σ Y Ŷ*|² / (Σ (|Ŷ|² − |H|² S_in) Σ (|Y|² − S_out)),   C² = (γ² − 1/n)/(1 − 1/n)             (1)
-    /// δ  = Σ (Y − C Ŷ/√(1 − b(1 − C²))) (Ŷ − U)* / Σ |Ŷ − U|²                                    (2)
-    /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (3)
+    /// δ  = Σ (Y − C Ŷ/√(1 − b(1 − C²))) (Ŷ − U)* / Σ |Ŷ − U|²                                    (1)
+    /// σ² = (ν + Σ ω (|δ|² − v)/m²) / (ν + Σ ω),   ω = (m²/(m² + v))²                             (2)
     /// ```
     ///
     /// ω counts what is seen at the declared error: what is missing is not to be taken for an error of the column before it has a name.
-    /// Sums of (1) are over the bins of a band and all records, each weighted by its power, of which n are independent; those of (2) over the
-    /// bins of the shortest record's resolution; v is what noise and straying make of δ by chance. ν values of δ count for the declared error m.
+    /// Sums of (1) are over the bins of the shortest record's resolution in all records, each weighted by its power; v is what noise and
+    /// straying make of δ by chance. ν values of δ count for the declared error m.
     pub fn estimated(forward: &Forward<'_>, prediction: &Prediction) -> Self {
         let n_sensor = forward.problem.array.outputs.len();
         let ends = band_hz(forward);
@@ -284,8 +389,8 @@ impl Spread {
         let numerical = Arc::new(numerical_powers(forward));
         let (mut coherence, mut straying, mut repeatable) = (Vec::new(), Vec::new(), Vec::new());
         for s in 0..n_sensor {
-            // |Y|² and |Ŷ|² less noise, Y Ŷ*, and the number of independent bins, by band.
-            let mut moments = vec![(0.0, 0.0, C64::default(), 0.0); n_band];
+            let mut moments: Vec<Moments> =
+                (0..n_band).map(|b| Moments { f_hz: at_hz(b), ..Moments::default() }).collect();
             let each = |of: &mut dyn FnMut(Bin)| {
                 let records = forward.records.iter().zip(prediction).zip(&gain).zip(&noises).zip(&*numerical);
                 for ((((at, p), gain), noises), numerical) in records {
@@ -306,26 +411,9 @@ impl Spread {
                     }
                 }
             };
-            each(&mut |bin| {
-                let m = &mut moments[bin.band];
-                m.0 += bin.weight * (bin.recorded.norm_sqr() - bin.noise);
-                m.1 += bin.weight * (bin.predicted.norm_sqr() - bin.predicted_noise);
-                m.2 += bin.recorded * bin.predicted.conj() * bin.weight;
-                m.3 += bin.lasting;
-            });
-            let (mut knots, mut shares) = ([[1e-9, 1e-9]; KNOTS], [[0.0, f64::MIN_POSITIVE]; KNOTS]);
-            for (b, (recorded, predicted, cross, n)) in moments.iter().enumerate().filter(|(_, m)| m.3 >= 2.0) {
-                let gamma = cross.norm_sqr() / (predicted.max(FLOOR) * recorded.max(FLOOR));
-                let square = ((gamma - 1.0 / n) / (1.0 - 1.0 / n)).clamp(0.0, 1.0);
-                let (i, w) = hat(at_hz(b), ends);
-                for (j, w) in [(i, 1.0 - w), (i + 1, w)] {
-                    knots[j][0] += w * n * square;
-                    knots[j][1] += w * n;
-                    shares[j][0] += w * recorded.max(0.0) * (1.0 - square);
-                    shares[j][1] += w * recorded.max(0.0);
-                }
-            }
-            let own: Vec<f64> = knots.iter().map(|[a, b]| (a / b).sqrt().max(LEAST_COHERENCE)).collect();
+            each(&mut |bin| moments[bin.band].add(&bin));
+            let own = coherence_at_knots(&moments, ends);
+            straying.push(straying_at_knots(&moments, ends));
             // Σ r a*, Σ |a|², Σ v |a|², by place: what arrives late turns quickly with frequency.
             let mut shared = vec![(C64::default(), 0.0, 0.0); places.count];
             each(&mut |bin| {
@@ -342,12 +430,11 @@ impl Spread {
                 own_places.push(Shared { f_hz: places.middle_hz(k), delta, chance });
             }
             coherence.push(own);
-            straying.push(shares.iter().map(|[strays, all]| strays / all).collect());
             repeatable.push(own_places);
         }
         let added_share = prediction.first().map_or(0.0, |p| p.added_share);
         let level = Self::level(&repeatable, model, 1.0);
-        let expected = expected_in_all(forward, prediction);
+        let expected = [0.0, 1.0].map(|base| Arc::new(expected_powers(forward, prediction, base)));
         let channels = channels(prediction).to_vec();
         Self { level, coherence, straying, added_share, repeatable, numerical, expected, channels }
     }
@@ -359,12 +446,12 @@ impl Spread {
     }
 
     /// Error of the column over the declared one when all that records share counts, also what is no error of a column: the solution σ
-    /// of (3) with ω at σ instead of the declared error.
+    /// of (2) with ω at σ instead of the declared error.
     pub fn shared_level(&self, forward: &Forward<'_>) -> f64 {
         (0..LEVEL_STEPS).fold(self.level, |level, _| Self::level(&self.repeatable, model_error(forward), level))
     }
 
-    /// (3), ω at `level`.
+    /// (2), ω at `level`.
     fn level(repeatable: &[Vec<Shared>], model: f64, level: f64) -> f64 {
         let declared = model * model;
         let (mut sum, mut weight) = (PRIOR_VALUES, PRIOR_VALUES);
@@ -425,9 +512,50 @@ pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &
 
 #[cfg(test)]
 mod tests {
-    use super::super::made_up::{Truth, Uniform, problem};
+    use super::super::made_up::{Truth, Uniform, problem, sample};
     use super::*;
     use crate::diagnosis::DiagnoseSettings;
+    use crate::numerics::random;
+
+    #[test]
+    fn bands_in_which_noise_prevails_tell_no_coherence() {
+        let ends_hz = [0.2, 20.0];
+        let square = |f: f64| -> f64 { if f < 1.0 { 1.0 } else { 0.36 } };
+        let band = |b: u32| {
+            let f_hz = 0.2 * (f64::from(b) / 6.0).exp2();
+            // From 8 Hz on there is hardly a prediction, and what is there is noise.
+            let predicted = if f_hz < 8.0 { 1.0 } else { 1e-3 };
+            let cross = C64::from(if f_hz < 8.0 { square(f_hz).sqrt() } else { 1e-3 });
+            Moments { f_hz, recorded: 1.0, predicted, noise: [1e-4, 0.98e-3], cross, n: 50.0 }
+        };
+        let all: Vec<Moments> = (0..40).map(band).collect();
+        let found = coherence_at_knots(&all, ends_hz);
+        // Knots are at 0.2, 0.43, 0.93, 2, 4.3, 9.3 and 20 Hz; half the line between the third and the fourth is on the way.
+        assert!(found[..2].iter().all(|c| (c - 1.0).abs() < 0.05), "{found:?}");
+        assert!((found[4] - 0.6).abs() < 0.05, "{found:?}");
+        assert!(found[5..].iter().all(|c| (0.55..0.85).contains(c)), "{found:?}");
+    }
+
+    #[test]
+    fn chance_is_not_taken_for_a_field_that_strays() {
+        // In bands of few bins squared coherence is one on average, and by chance beyond.
+        let mut stream = random::stream(3, "coherence");
+        let band = |b: u32, stream: &mut _| {
+            let one = |_: u32| {
+                let predicted = C64::new(sample(stream), sample(stream));
+                let noise = C64::new(sample(stream), sample(stream));
+                [predicted, predicted + 0.2 * noise]
+            };
+            let bins: Vec<[C64; 2]> = (0..8).map(one).collect();
+            let power = |s: usize| bins.iter().map(|b| b[s].norm_sqr()).sum::<f64>();
+            let cross = bins.iter().map(|[p, y]| y * p.conj()).sum();
+            let f_hz = 0.2 * (f64::from(b) / 6.0).exp2();
+            Moments { f_hz, recorded: power(1), predicted: power(0), noise: [0.64, 0.0], cross, n: 8.0 }
+        };
+        let all: Vec<Moments> = (0..40).map(|b| band(b, &mut stream)).collect();
+        let found = coherence_at_knots(&all, [0.2, 20.0]);
+        assert!(found.iter().all(|c| *c > 0.98), "{found:?}");
+    }
 
     #[test]
     fn levels_and_coherence_are_read_off_records() {

@@ -3,8 +3,7 @@
 use super::covariance::Covariance;
 use super::forward::{At, Forward, Predicted, Prediction, channels};
 use super::spread::{
-    AN_OCTAVE, Places, Powers, Spread, band_hz, bands, coherent, expected_in_all, gains, interpolated, model_error,
-    noise, powers, seen,
+    AN_OCTAVE, Places, Spread, band_hz, bands, coherent, gains, interpolated, model_error, noise, powers, seen,
 };
 use crate::diagnosis::spectra;
 use crate::metrics::median;
@@ -126,26 +125,17 @@ impl Weights {
     /// Weights of the records by `spread`, the transfer functions those of `prediction`.
     pub fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
         let indices: Vec<usize> = (0..forward.records.len()).collect();
-        // A model that takes other channels for the same sensors expects other powers of them.
-        let expected = if channels(prediction) == spread.channels {
-            spread.expected.clone()
-        } else {
-            expected_in_all(forward, prediction)
-        };
+        // What strays and what the column has wrong beside other records is to be read off those.
+        let own = (channels(prediction) != spread.channels).then(|| Spread::estimated(forward, prediction));
+        let spread = own.as_ref().unwrap_or(spread);
         let all: Vec<(Record, f64)> =
-            indices.par_iter().map(|i| Self::of(forward, spread, &expected, *i, &prediction[*i])).collect();
+            indices.par_iter().map(|i| Self::of(forward, spread, *i, &prediction[*i])).collect();
         let (records, constants): (Vec<Record>, Vec<f64>) = all.into_iter().unzip();
         let stands_for = 1.0 / forward.share;
         Self { records, stands_for, constant: stands_for * constants.iter().sum::<f64>() }
     }
 
-    fn of(
-        forward: &Forward<'_>,
-        spread: &Spread,
-        expected: &[Powers; 2],
-        index: usize,
-        predicted: &Predicted,
-    ) -> (Record, f64) {
+    fn of(forward: &Forward<'_>, spread: &Spread, index: usize, predicted: &Predicted) -> (Record, f64) {
         let at = forward.records[index];
         let f = forward.frequencies_hz(at);
         let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
@@ -155,7 +145,7 @@ impl Weights {
         let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
         let channels = &seen(forward, at).channels;
         let input = running_mean(&powers(&channels[predicted.channels[0]]), half);
-        let [recorded, beside] = expected.each_ref().map(|powers| &powers[index]);
+        let [recorded, beside] = spread.expected.each_ref().map(|powers| &powers[index]);
         let wide: Vec<Vec<f64>> = predicted.measured.iter().map(|y| octave_mean(&powers(y), f)).collect();
         let at_bins = |knots: &Vec<f64>| f.iter().map(|f| interpolated(knots, *f, ends)).collect();
         let coherence: Vec<Vec<f64>> = spread.coherence.iter().map(at_bins).collect();
