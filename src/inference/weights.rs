@@ -71,8 +71,9 @@ struct Record {
 /// P is the expected power of a record, and P' of what it has beside the base: that of a reference prediction, times what the other events
 /// have over theirs at the same frequency. The power of the record itself would count residuals least where what strays adds to the
 /// prediction, and lead to too little motion. Σ does not change with the prediction, P and H being those of the reference. So a
-/// prediction gains nothing by shrinking, and models that are compared are compared by one Σ. Cross terms between sensors are those of
-/// noise of the base alone.
+/// prediction gains nothing by shrinking, and models that are compared are compared by one Σ; those that take other channels for the same
+/// sensors have one of their own, for what strays beside wrong labels says nothing of the right ones. Cross terms between sensors are those
+/// of noise of the base alone.
 ///
 /// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ; Kennedy and O'Hagan (2001),
 /// doi 10.1111/1467-9868.00294, for the error of the column.
