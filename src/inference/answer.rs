@@ -415,7 +415,7 @@ mod tests {
         let found = diagnosed(&Truth { table, ..FEW });
         assert_eq!((found.verdict, found.effects.len()), (Verdict::Known, 1), "{:?}", found.candidates);
         let [low, high] = found.effects[0].parameters["tilt_deg"].ci95;
-        assert!(low <= -0.2 && -0.2 <= high, "{:?}", found.effects[0].parameters);
+        assert!(low <= -0.2 && -0.2 <= high && high - low < 0.16, "{:?}", found.effects[0].parameters);
         assert!(-0.3 < low && high < -0.1, "{:?}", found.effects[0].parameters);
     }
 

@@ -2,8 +2,8 @@
 //!
 //! Declared values that may be off within their tolerances and effects of a catalogue are parameters with priors (`parameters`). What is
 //! expected of residuals (noise, a field that is partly incoherent, a column that is not exact) is read off the records beside the model
-//! that leaves least (`spread`) and is one for all models (`weights`), so that a fit is nonlinear least squares (`posterior`) and models compete by
-//! their evidence (`competition`). Values are replays of the column (`forward`); slopes are those of the equivalent-linear column
+//! that leaves least (`spread`, `coherence`) and is one for all models (`weights`), so that a fit is nonlinear least squares (`posterior`)
+//! and models compete by their evidence (`competition`). Values are replays of the column (`forward`); slopes are those of the equivalent-linear column
 //! (`equivalent`) until a step does something else than they foretold, and replays where a fit ends. What other programs make of the same
 //! column is no effect (`convention`). The answer says what is named and what remains (`answer`).
 //!
@@ -13,6 +13,7 @@
 
 mod algebra;
 mod answer;
+mod coherence;
 mod competition;
 mod convention;
 mod covariance;

@@ -1,10 +1,9 @@
 //! What a prediction is compared by: residuals in units of what is expected of them.
 
+use super::coherence::{coherent, interpolated};
 use super::covariance::Covariance;
 use super::forward::{At, Forward, Predicted, Prediction, channels};
-use super::spread::{
-    AN_OCTAVE, Places, Spread, band_hz, bands, coherent, gains, interpolated, model_error, noise, powers, seen,
-};
+use super::spread::{AN_OCTAVE, Places, Spread, band_hz, bands, gains, model_error, noise, powers, seen};
 use crate::diagnosis::spectra;
 use crate::metrics::median;
 use crate::numerics::smooth::{octave_mean, running_mean};
