@@ -257,10 +257,20 @@ impl Instance {
         super::build(&self.at(&self.start())).map_or(0, |effect| effect.hidden())
     }
 
+    /// Whether it exchanges the labels of two sensors.
+    pub fn exchanges_labels(&self) -> bool {
+        self.free.is_empty() && super::build(&self.at(&[])).is_ok_and(|effect| effect.exchange().is_some())
+    }
+
     /// Index of the free parameter that is the frequency of a line: its phase is taken from each record.
     pub fn line(&self) -> Option<usize> {
         let is_frequency = |f: &Free| f.zero.is_none() && f.parameter.unit == "Hz";
         self.free.iter().position(is_frequency).filter(|_| self.hidden() > 0)
+    }
+
+    /// Index of the free parameter that is a delay, if it has one.
+    pub fn delay(&self) -> Option<usize> {
+        self.free.iter().position(|f| f.zero.is_none() && f.parameter.unit == "s")
     }
 
     /// Smallest and largest coordinate of each free parameter.

@@ -59,10 +59,12 @@ const PARAMETERS: &[Parameter] = &[
     },
 ];
 
-/// Delays half a second apart, since a fit only finds the nearest.
+/// Distance of the delays from which a fit starts, s.
+const APART_S: f64 = 0.5;
+
 fn instances(_: &super::Array) -> Vec<Instance> {
     let at = |i: i32| {
-        let delay = Free::new(&PARAMETERS[1], 0.5 * f64::from(i));
+        let delay = Free { size: APART_S, ..Free::new(&PARAMETERS[1], APART_S * f64::from(i)) };
         let free = vec![Free::new(&PARAMETERS[0], 0.0), delay, Free::new(&PARAMETERS[2], 150.0)];
         Instance::new(ENTRY.name, [], free)
     };

@@ -9,6 +9,7 @@ use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
 use super::recalibration::recalibrated;
 use super::spread::{Spread, band_hz, residual_powers};
+use super::weights::Expected;
 use crate::diagnosis::{
     Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, ToleranceAlarm,
     Verdict,
@@ -39,8 +40,8 @@ pub fn diagnose(
     let forward = Forward::new(problem, replay, settings)?;
     let plain = Declared::new(problem)?;
     forward.anchor(&[])?;
-    let (spread, start) = recalibrated(&forward, &plain)?;
-    progress.note(&format!("recalibrated: level {:.2}, {} replays", spread.level, forward.replays()));
+    let (expected, start) = recalibrated(&forward, &plain, Vec::new())?;
+    progress.note(&format!("recalibrated: level {:.2}, {} replays", expected.spread.level, forward.replays()));
     // What few elements leave wrong is taken out where it matters.
     let tables = start.0.tables(&start.1);
     forward.anchor(&tables)?;
@@ -48,8 +49,8 @@ pub fn diagnose(
     let model = Model { declared: &declared, effects: Vec::new() };
     let mut x = start.1;
     x.resize(model.len(), 0.0);
-    let prediction = std::sync::Arc::new(forward.predict(&tables)?);
-    let fitter = Fitter::new(&forward, spread, prediction);
+    let reference = std::sync::Arc::new(forward.predict(&tables)?);
+    let fitter = Fitter::new(&forward, Expected { reference, ..expected });
     let fit = fitter.fit(Start::at(model, x), Stop::CLOSE)?;
     let in_few = forward.in_groups(&few::groups(&forward));
     let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
@@ -421,10 +422,13 @@ mod tests {
 
     #[test]
     fn exchanged_labels_are_named() {
-        let table = "kind = 'swapped_channels'\nsensor = 'mid'\nwith = 'top'";
-        let found = diagnosed(&Truth { table, ..FEW });
-        let kinds: Vec<&str> = found.effects.iter().map(|e| e.kind.as_str()).collect();
-        assert_eq!(kinds, ["swapped_channels"], "{:?}", found.candidates);
+        // The input too: what is recalibrated beside another input is far from what holds.
+        for [sensor, with] in [["mid", "top"], ["base", "mid"]] {
+            let table = format!("kind = 'swapped_channels'\nsensor = '{sensor}'\nwith = '{with}'");
+            let found = diagnosed(&Truth { table: &table, ..FEW });
+            let tables: Vec<String> = found.effects.iter().map(|e| e.table.to_string().replace('"', "'")).collect();
+            assert_eq!(tables, [format!("{table}\n")], "{:?}", found.candidates);
+        }
     }
 
     #[test]

@@ -7,13 +7,14 @@
 //! column's error is read off beside the best model, and all models are compared by that.
 
 mod proposals;
+mod scan;
 
 use super::few::Few;
 use super::forward::{Forward, Prediction, channels};
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Replays, Start, Stop, combined, square};
-use super::spread::Spread;
-use super::weights::{Rows, Weights};
+use super::recalibration::recalibrated;
+use super::weights::{Expected, Rows};
 use crate::effects::{self, Array, Instance};
 use crate::error::Result;
 use crate::numerics::threads::on_threads;
@@ -33,8 +34,9 @@ const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
 /// what is expected of residuals has changed.
 const COUNTS: f64 = 5.0;
 const FAR: f64 = 30.0;
-/// Most rounds of the competition.
+/// Most rounds of the competition, and rounds under each of the labels that may be right.
 const ROUNDS: usize = 12;
+const LABEL_ROUNDS: usize = 2;
 /// Most rounds at the end.
 const SETTLINGS: usize = 3;
 /// Most times that what few elements leave wrong is taken out anew, and the change of ln of the density that still matters.
@@ -48,17 +50,6 @@ const ONE_MORE: f64 = 0.25;
 const CHANGED: [f64; 2] = [0.05, 0.02];
 /// The same from which candidates are looked for anew.
 const OTHER: [f64; 2] = [0.7, 0.2];
-
-/// What is looked at around a model.
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum Look {
-    /// Candidates besides.
-    Near,
-    /// The same where strong ones lead when tolerances are taken back to what is declared.
-    Far,
-    /// Candidates besides, and in the place of what the model has.
-    AtRivals,
-}
 
 /// Fitted models by their effects.
 pub struct Competition<'a> {
@@ -124,36 +115,90 @@ impl<'a> Competition<'a> {
         self.best_of(|fit| fit.model.is_named()).unwrap_or(&self.fits[0])
     }
 
+    /// The most probable model of named effects under `labels`: the channels that the sensors are taken to be recorded on.
+    fn leading(&self, labels: &[usize]) -> &Fit<'a> {
+        let is_meant = |fit: &Fit<'a>| fit.model.is_named() && channels(&fit.prediction) == labels;
+        self.best_of(is_meant).unwrap_or(&self.fits[0])
+    }
+
     fn known(&self, effects: &[Instance]) -> Option<usize> {
         self.fits.iter().position(|f| is_same_set(&f.model.effects, effects))
     }
 
-    /// Runs the competition to its end.
+    /// Runs the competition to its end: candidates are looked for under all labels that may be right, then under the most probable.
     ///
     /// # Errors
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
+        self.exchange_labels(progress)?;
+        let mut all: Vec<Vec<usize>> = self.fits.iter().map(|fit| channels(&fit.prediction).to_vec()).collect();
+        all.sort_unstable();
+        all.dedup();
+        // What is expected of residuals is far off at first, and candidates by it: the labels that lead then need not be right.
+        for _ in (0..LABEL_ROUNDS).filter(|_| all.len() > 1) {
+            for labels in &all {
+                self.round(labels, progress)?;
+            }
+        }
         for _ in 0..ROUNDS {
-            self.renew_anchor(Stop::CLOSE)?;
-            self.renew_spread(progress)?;
-            self.renew_parts()?;
-            // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what
-            // they would explain.
-            let best = self.best_named().model.effects.clone();
-            let without = |i: usize| [&best[..i], &best[i + 1..]].concat();
-            // What is simpler first: it may do as well.
-            let open = (0..best.len()).map(without).chain([best.clone()]);
-            let is_open = |set: &Vec<Instance>| !self.expanded.iter().any(|e| is_same_set(e, set));
-            let Some(next) = open.into_iter().find(is_open) else { break };
-            self.expand(next, progress)?;
+            let labels = channels(&self.best_named().prediction).to_vec();
+            if !self.round(&labels, progress)? {
+                break;
+            }
         }
         self.settle(progress)
+    }
+
+    /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
+    fn round(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
+        self.renew_anchor(labels, Stop::CLOSE)?;
+        self.renew_spread(labels, progress)?;
+        self.renew_parts(labels)?;
+        // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
+        // would explain.
+        let leading = self.leading(labels).model.effects.clone();
+        let without = |i: usize| [&leading[..i], &leading[i + 1..]].concat();
+        let keeps_labels = |i: &usize| !leading[*i].exchanges_labels();
+        // What is simpler first: it may do as well.
+        let open = (0..leading.len()).filter(keeps_labels).map(without).chain([leading.clone()]);
+        let is_open = |set: &Vec<Instance>| !self.expanded.iter().any(|e| is_same_set(e, set));
+        let next = open.into_iter().find(is_open);
+        let found = next.is_some();
+        if let Some(next) = next {
+            self.expand(next, labels, progress)?;
+        }
+        Ok(found)
+    }
+
+    /// Recalibrates the declared model under every exchange of labels that does better than none where nothing is recalibrated: what was
+    /// recalibrated under wrong labels is far from what holds under the right ones.
+    fn exchange_labels(&mut self, progress: &dyn Progress) -> Result<()> {
+        let (forward, declared) = (self.fitter.forward, self.fits[0].model.declared);
+        let as_declared = |effects: &[Instance]| -> Result<f64> {
+            let model = Model { declared, effects: effects.to_vec() };
+            let prediction = Arc::new(forward.predict(&model.tables(&vec![0.0; model.len()]))?);
+            Ok(Fitter::new(forward, Expected::of(forward, prediction.clone())).nll(&prediction))
+        };
+        let none = as_declared(&[])?;
+        let exchanges: Vec<Instance> = self.instances.iter().filter(|i| i.exchanges_labels()).cloned().collect();
+        for exchange in exchanges {
+            if as_declared(std::slice::from_ref(&exchange))? - self.prior_of(&exchange) > none {
+                continue;
+            }
+            let labels = vec![exchange];
+            forward.anchor(&Model { declared, effects: labels.clone() }.tables(&vec![0.0; declared.len()]))?;
+            let (expected, (model, x)) = recalibrated(forward, declared, labels)?;
+            self.fitter = self.fitter.expecting(expected);
+            self.finish(Start::at(model, x), progress);
+        }
+        Ok(())
     }
 
     /// Fits to the end whatever counts for the answer.
     fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
         for _ in 0..SETTLINGS {
-            self.renew_anchor(Stop::EXACT)?;
+            let labels = channels(&self.best().prediction).to_vec();
+            self.renew_anchor(&labels, Stop::EXACT)?;
             let leading = self.best().model.effects.clone();
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {
@@ -170,10 +215,11 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
-    /// Takes out what few elements leave wrong beside the best model and fits that anew, until the records cannot tell what is left of it.
-    fn renew_anchor(&mut self, stop: Stop) -> Result<()> {
+    /// Takes out what few elements leave wrong beside the best model under `labels` and fits that anew, until the records cannot tell what
+    /// is left of it.
+    fn renew_anchor(&mut self, labels: &[usize], stop: Stop) -> Result<()> {
         for _ in 0..ANCHORS {
-            let best = self.best().clone();
+            let best = self.best_of(|fit| channels(&fit.prediction) == labels).unwrap_or(&self.fits[0]).clone();
             self.fitter.forward.anchor(&best.model.tables(&best.x))?;
             let old = std::mem::take(&mut self.fits);
             let evaluated = |fit: Fit<'a>| self.fitter.fit(Start::from(fit), Stop::WHERE_IT_IS);
@@ -190,47 +236,48 @@ impl<'a> Competition<'a> {
     }
 
     /// What is expected of the residuals of `forward` beside a fitted model, and ln of the determinant of that.
-    fn supported(forward: &Forward<'_>, fit: &Fit<'_>) -> (Spread, f64) {
-        let spread = Spread::estimated(forward, &fit.prediction);
-        let ln_determinant = Weights::new(forward, &spread, &fit.prediction).constant;
-        (spread, ln_determinant)
+    fn supported(forward: &Forward<'_>, fit: &Fit<'_>) -> (Expected, f64) {
+        let expected = Expected::of(forward, fit.prediction.clone());
+        let ln_determinant = expected.weights(forward).constant;
+        (expected, ln_determinant)
     }
 
-    /// Reads off what is expected of residuals, and fits again whatever is close, if that has changed. What the column has wrong and what
-    /// strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
-    fn renew_spread(&mut self, progress: &dyn Progress) -> Result<()> {
-        // Models that take other channels for the same sensors predict other records: that comparison is the evidence's alone.
-        let own = channels(&self.best().prediction);
-        let supported = self
-            .fits
-            .iter()
-            .filter(|f| channels(&f.prediction) == own)
-            .map(|f| (f, Self::supported(self.fitter.forward, f)));
+    /// Reads off what is expected of residuals under `labels`, and fits again whatever is close, if that has changed. What the column has
+    /// wrong and what strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
+    fn renew_spread(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
+        let own = self.fits.iter().filter(|f| channels(&f.prediction) == labels);
+        let supported = own.map(|f| (f, Self::supported(self.fitter.forward, f)));
         let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));
-        let Some((best, (found, _))) = least.map(|(f, s)| (f.clone(), s)) else { return Ok(()) };
-        let now = self.fitter.spread();
-        let coherences = found.coherence.iter().flatten().zip(now.coherence.iter().flatten());
-        let moved = coherences.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        if (found.level / now.level).ln().abs() < CHANGED[0] && moved < CHANGED[1] {
+        let Some((best, (Expected { spread: found, .. }, _))) = least.map(|(f, s)| (f.clone(), s)) else {
+            return Ok(());
+        };
+        let moved = self.fitter.spread(&best.prediction).map_or([f64::INFINITY; 2], |now| found.distance(now));
+        let is_beyond = |limits: [f64; 2]| moved.iter().zip(limits).any(|(moved, limit)| *moved > limit);
+        if !is_beyond(CHANGED) {
             return Ok(());
         }
-        let is_other = (found.level / now.level).ln().abs() > OTHER[0] || moved > OTHER[1];
+        let is_other = is_beyond(OTHER);
         progress.note(&format!("level {:.2}, coherence {:.2?}", found.level, found.coherence));
         // What few elements leave wrong is taken out where it matters now.
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
         let reference = self.fitter.predict(&best.model, &best.x)?;
-        self.fitter = Fitter::new(self.fitter.forward, found, reference);
+        self.fitter = self.fitter.expecting(Expected { spread: found, reference });
         let own = best.model.effects;
+        let is_own = |fit: &Fit<'a>| channels(&fit.prediction) == labels;
         let old = std::mem::take(&mut self.fits);
         let cost = |fit: &Fit<'a>| self.fitter.nll(&fit.prediction) + Fitter::prior(&fit.model, &fit.x);
         let costs: Vec<f64> = old.iter().map(cost).collect();
         // What has a name is kept by what else has one: a response without takes up all of that at once.
         let lowest = |is_named: bool| {
-            let alike = old.iter().zip(&costs).filter(|(fit, _)| fit.model.is_named() == is_named);
+            let alike = old.iter().zip(&costs).filter(|(fit, _)| is_own(fit) && fit.model.is_named() == is_named);
             alike.map(|(_, cost)| *cost).fold(f64::INFINITY, f64::min)
         };
         let lowest = [lowest(false), lowest(true)];
         for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
+            if !is_own(&fit) {
+                self.fits.push(fit);
+                continue;
+            }
             let is_close = cost < lowest[usize::from(fit.model.is_named())] + FAR;
             if i == 0 || is_close || is_same_set(&fit.model.effects, &own) {
                 self.fits.push(self.fitter.fit(Start::weighed_anew(fit), Stop::CLOSE)?);
@@ -257,7 +304,7 @@ impl<'a> Competition<'a> {
     }
 
     /// Fits the most promising candidates beside the fitted model with `effects`.
-    fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
+    fn expand(&mut self, effects: Vec<Instance>, labels: &[usize], progress: &dyn Progress) -> Result<()> {
         let base = match self.known(&effects) {
             Some(index) => self.fits[index].clone(),
             None => {
@@ -266,17 +313,18 @@ impl<'a> Competition<'a> {
                 fit
             }
         };
-        let look = if is_same_set(&effects, &self.best_named().model.effects) { Look::AtRivals } else { Look::Near };
+        let is_leading = is_same_set(&effects, &self.leading(labels).model.effects);
         self.expanded.push(effects);
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
         let is_open = start.model.effects.len() < self.max_effects;
-        let mut heats = self.heats(&by, &by, &start, &start, look);
+        let mut heats = self.heats(&by, &start);
         heats.extend(self.unnamed(&by, &start));
+        if is_leading {
+            heats.extend(self.rivals(&by, &start));
+        }
         if is_open && base.is_strained() {
-            // Far from what the records say only the lowest modes tell where to go.
-            let lowest = by.of_lowest_modes();
-            heats.extend(self.heats(&by, &lowest, &start, &Self::relaxed(&lowest, &start)?, Look::Far));
+            heats.extend(self.strong(&by, &start));
         }
         heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
         let mut finals: Vec<Fit<'a>> = Vec::new();
@@ -313,34 +361,25 @@ impl<'a> Competition<'a> {
             let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
             // Slopes where the heat began lead on from where it ended, unless that is far.
             let is_near = Self::is_near(&base, &heat);
+            let slopes = Self::slopes_of(&base, &model);
             let start = Start::at(model, heat.x);
-            let slopes = base.slopes.iter().cloned().map(Some);
             self.finish(if is_near { start.carrying(slopes, &base) } else { start }, progress);
         }
-        self.move_places(progress);
         Ok(())
     }
 
-    /// First fits, by `fitter`, of the most promising candidates beside `point`, the model of `base`, by what `by` says of them.
-    fn heats(&self, fitter: &Fitter<'a>, by: &Fitter<'a>, base: &Fit<'a>, point: &Fit<'a>, look: Look) -> Vec<Fit<'a>> {
-        let mut proposals = self.proposals(by, point, look);
+    /// First fits of the most promising candidates beside `base` by the linear problem there.
+    fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
+        let mut proposals = self.proposals(by, base);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
         // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
         // comes on top of a pair is sought when one of the two is in the model.
-        let (instead, more): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.instead_of.is_some());
-        let (singles, pairs): (Vec<_>, Vec<_>) = more.into_iter().partition(|p| p.parts.len() == 1);
-        let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs) };
-        let beside: Vec<Proposal> = distinct(singles).into_iter().chain(pairs).chain(instead).collect();
-        let fitted = |i: usize| {
-            let set = beside[i].clone();
-            if set.instead_of.is_some() {
-                return by.fit_from_afar(Self::from_declared(base, set), FAR_HEAT).ok();
-            }
-            let start = Self::started(by, point, set);
-            let is_far = look == Look::Far;
-            if is_far { fitter.fit_from_afar(start, FAR_HEAT) } else { fitter.fit(start, HEAT) }.ok()
-        };
-        on_threads(beside.len(), fitted).into_iter().flatten().collect()
+        let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
+        let of = |p: &Proposal| -> Vec<Instance> { p.parts.iter().map(|part| part.instance.clone()).collect() };
+        let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs, of) };
+        let all: Vec<Proposal> = distinct(singles, of).into_iter().chain(pairs).collect();
+        let fitted = |i: usize| by.fit(Self::started(by, base, all[i].clone()), HEAT).ok();
+        on_threads(all.len(), fitted).into_iter().flatten().collect()
     }
 
     /// The best first fit of what has no name beside `base`: a response of one sensor, or of each.
@@ -376,44 +415,10 @@ impl<'a> Competition<'a> {
         self.keep(found);
     }
 
-    /// Tries the effects of the best model at all their other places, as long as that makes it better: what is linear beside a model
-    /// that lacks a strong effect points only near its place.
-    fn move_places(&mut self, progress: &dyn Progress) {
-        let mut tried: Vec<Vec<Instance>> = Vec::new();
-        let by = self.few.fitter(&self.fitter);
+    /// Fits parts of the best model under `labels` anew that do better from where it is: what ended on the way there is no match for it.
+    fn renew_parts(&mut self, labels: &[usize]) -> Result<()> {
         loop {
-            let best = self.best().clone();
-            if tried.iter().any(|t| is_same_set(t, &best.model.effects)) {
-                return;
-            }
-            tried.push(best.model.effects.clone());
-            for index in 0..best.model.effects.len() {
-                let own = &best.model.effects[index];
-                let is_other = |i: &&Instance| i.is_alike(own) && !best.model.effects.iter().any(|e| e.is_one(i));
-                let others = self.instances.iter().filter(is_other);
-                let moved = others.filter_map(|other| {
-                    let mut model = best.model.clone();
-                    model.effects[index] = other.clone();
-                    let is_open = self.known(&model.effects).is_none();
-                    let bounds = model.bounds();
-                    let x: Vec<f64> = best.x.iter().zip(bounds).map(|(x, [low, high])| x.clamp(low, high)).collect();
-                    let in_few = Model { declared: self.few.declared, effects: model.effects.clone() };
-                    let prediction = is_open.then(|| by.predict(&in_few, &x).ok()).flatten()?;
-                    Some((by.nll(&prediction), model, x))
-                });
-                let Some((_, model, x)) = moved.min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
-                let slopes = best.slopes[..best.model.declared.len()].iter().cloned().map(Some);
-                if let Ok(heat) = self.fitter.fit(Start::at(model, x).carrying(slopes, &best), HEAT) {
-                    self.finish(Start::from(heat), progress);
-                }
-            }
-        }
-    }
-
-    /// Fits parts of the best model anew that do better from where it is: what ended on the way there is no match for it.
-    fn renew_parts(&mut self) -> Result<()> {
-        loop {
-            let best = self.best_named().model.effects.clone();
+            let best = self.leading(labels).model.effects.clone();
             for part in (0..best.len()).map(|i| [&best[..i], &best[i + 1..]].concat()) {
                 let Some(index) = self.known(&part) else { continue };
                 let start = self.part(&part);
@@ -423,33 +428,36 @@ impl<'a> Competition<'a> {
                     self.keep(fit);
                 }
             }
-            if is_same_set(&best, &self.best_named().model.effects) {
+            if is_same_set(&best, &self.leading(labels).model.effects) {
                 return Ok(());
             }
         }
     }
 
-    /// Where a fit with `effects`, some of those of the best model, starts from where that one is.
+    /// Where a fit with `effects` starts: where the most probable model of named effects is that has all of them.
     fn part(&self, effects: &[Instance]) -> Start<'a> {
-        let best = self.best_named();
-        let n = best.model.declared.len();
-        let mut x = best.x[..n].to_vec();
-        let mut slopes: Vec<Option<Arc<Rows>>> = best.slopes[..n].iter().cloned().map(Some).collect();
+        let has = |fit: &Fit<'a>, effect: &Instance| fit.model.effects.iter().any(|e| e.is_one(effect));
+        let has_all = |fit: &Fit<'a>| fit.model.is_named() && effects.iter().all(|effect| has(fit, effect));
+        let best = self.best_of(has_all).unwrap_or(&self.fits[0]);
+        let mut x = best.x[..best.model.declared.len()].to_vec();
         for effect in effects {
-            let index = best.model.effects.iter().position(|e| e.is_one(effect));
-            let own = index.map(|i| best.model.start(i)..best.model.start(i) + effect.free.len());
-            x.extend(own.clone().map_or_else(|| effect.start(), |own| best.x[own].to_vec()));
-            slopes.extend((0..effect.free.len()).map(|k| own.clone().map(|own| best.slopes[own.start + k].clone())));
+            let own = best.model.effects.iter().position(|e| e.is_one(effect)).map(|i| best.model.coordinates_of(i));
+            x.extend(own.map_or_else(|| effect.start(), |own| best.x[own].to_vec()));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
+        let slopes = Self::slopes_of(best, &model);
         Start::at(model, x).carrying(slopes, best)
     }
 
-    /// `fit` with all tolerances as declared: where they were made to stand in for an effect, they lead away from it.
-    fn relaxed(by: &Fitter<'a>, fit: &Fit<'a>) -> Result<Fit<'a>> {
-        let mut x = fit.x.clone();
-        x[..fit.model.declared.len()].fill(0.0);
-        by.fit(Start::at(fit.model.clone(), x), Stop::WHERE_IT_IS)
+    /// Slopes of `fit` by the coordinates of another model, as far as the two share them.
+    fn slopes_of(fit: &Fit<'a>, model: &Model<'a>) -> Vec<Option<Arc<Rows>>> {
+        let own = |effect: &Instance| fit.model.effects.iter().position(|e| e.is_one(effect));
+        let of_effect = |effect: &Instance| match own(effect) {
+            Some(index) => fit.model.coordinates_of(index).map(|i| Some(fit.slopes[i].clone())).collect(),
+            None => vec![None; effect.free.len()],
+        };
+        let declared = fit.slopes[..fit.model.declared.len()].iter().cloned().map(Some);
+        declared.chain(model.effects.iter().flat_map(of_effect)).collect()
     }
 
     /// Keeps the better fit of each model.

@@ -86,7 +86,7 @@ impl Declared {
 #[cfg(test)]
 mod tests {
     use super::super::made_up::{Truth, Uniform, problem};
-    use super::super::spread::Spread;
+    use super::super::weights::Expected;
     use super::*;
     use crate::diagnosis::DiagnoseSettings;
 
@@ -98,7 +98,7 @@ mod tests {
         whole.anchor(&[]).unwrap();
         let declared = Declared::new(&problem).unwrap();
         let prediction = Arc::new(whole.predict(&[]).unwrap());
-        let fitter = Fitter::new(&whole, Spread::estimated(&whole, &prediction), prediction);
+        let fitter = Fitter::new(&whole, Expected::of(&whole, prediction));
         let model = Model { declared: &declared, effects: Vec::new() };
         let fit = fitter.fit(Start::at(model, vec![0.0; declared.len()]), Stop::CLOSE).unwrap();
         let chosen = groups(&whole);

@@ -9,14 +9,14 @@ use super::equivalent::Neighbourhood;
 use super::forward::{Forward, Prediction, channels, lock};
 use super::parameters::Model;
 use super::spread::{Spread, band_hz};
-use super::weights::{self, Rows, Weights};
+use super::weights::{self, Expected, Rows, Weights};
 use crate::effects::Instance;
 use crate::error::Result;
 use crate::metrics::{normal_probability, scaled_tail};
 use faer::Mat;
 use rayon::prelude::*;
 use search::is_borne_out;
-pub use search::{Replays, Stop};
+pub use search::{Replays, Stop, least_borne_out};
 use slopes::Axes;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -51,9 +51,8 @@ pub struct Fit<'a> {
 pub struct Fitter<'a> {
     /// The column and the sensors.
     pub forward: &'a Forward<'a>,
-    spread: Spread,
-    reference: Arc<Prediction>,
-    /// Weights by the channels that the sensors are taken to be recorded on.
+    /// What is expected of records, and weights, by the channels that the sensors are taken to be recorded on.
+    expected: HashMap<Vec<usize>, Expected>,
     weights: Mutex<HashMap<Vec<usize>, Arc<Weights>>>,
     /// The highest frequency that counts, Hz.
     high_hz: f64,
@@ -108,19 +107,31 @@ struct Point {
 }
 
 impl<'a> Fitter<'a> {
-    /// One that weighs residuals as `spread` says, transfer functions those of `reference`.
-    pub fn new(forward: &'a Forward<'a>, spread: Spread, reference: Arc<Prediction>) -> Self {
-        Self { forward, spread, reference, weights: Mutex::default(), high_hz: f64::INFINITY, surrogate: None }
+    /// One that weighs residuals as `expected` says.
+    pub fn new(forward: &'a Forward<'a>, expected: Expected) -> Self {
+        Self::of(forward, HashMap::from([(channels(&expected.reference).to_vec(), expected)]))
+    }
+
+    fn of(forward: &'a Forward<'a>, expected: HashMap<Vec<usize>, Expected>) -> Self {
+        Self { forward, expected, weights: Mutex::default(), high_hz: f64::INFINITY, surrogate: None }
+    }
+
+    /// The same with this for the channels of its reference.
+    #[must_use]
+    pub fn expecting(&self, expected: Expected) -> Self {
+        let mut all = self.expected.clone();
+        all.insert(channels(&expected.reference).to_vec(), expected);
+        Self::of(self.forward, all)
     }
 
     /// The same in the events of `few` alone.
     pub fn in_events(&self, few: &'a Forward<'a>) -> Self {
-        Self::new(few, self.spread.in_events(few), Arc::new(few.kept(&self.reference)))
+        Self::of(few, self.expected.iter().map(|(taken, expected)| (taken.clone(), expected.in_events(few))).collect())
     }
 
-    /// What is expected of residuals.
-    pub fn spread(&self) -> &Spread {
-        &self.spread
+    /// What is expected of the residuals of models that take the same channels for the same sensors as `prediction`.
+    pub fn spread(&self, prediction: &Prediction) -> Option<&Spread> {
+        self.expected.get(channels(prediction)).map(|expected| &expected.spread)
     }
 
     /// What a model predicts.
@@ -175,8 +186,9 @@ impl<'a> Fitter<'a> {
     fn weights(&self, prediction: &Prediction) -> Arc<Weights> {
         let taken = channels(prediction);
         let mut known = lock(&self.weights);
-        let of = if channels(&self.reference) == taken { &self.reference } else { prediction };
-        let made = || Arc::new(Weights::new(self.forward, &self.spread, of));
+        // What strays and what the column has wrong beside other records is to be read off those.
+        let own = || Expected::of(self.forward, Arc::new(prediction.clone()));
+        let made = || Arc::new(self.expected.get(taken).cloned().unwrap_or_else(own).weights(self.forward));
         known.entry(taken.to_vec()).or_insert_with(made).clone()
     }
 
@@ -218,10 +230,19 @@ impl<'a> Fitter<'a> {
         self.fit(there.unwrap_or(start), stop)
     }
 
+    /// The same with motions from the equivalent-linear column near `model` at `x` instead of replays.
+    ///
+    /// # Errors
+    /// When an effect or the column cannot be built or replayed.
+    pub fn by_surrogate(&self, model: &Model<'a>, x: &[f64]) -> Result<Self> {
+        let near = Neighbourhood::new(self.forward, &model.tables(x))?;
+        Ok(Self { surrogate: Some(Arc::new(near)), ..self.below(self.high_hz) })
+    }
+
     /// Where a fit to the equivalent-linear column beside `start` ends, if a replay there gains what that foretold.
     fn leap(&self, start: &Start<'a>) -> Option<Start<'a>> {
         let Start { model, x, .. } = start;
-        let by = Self { surrogate: Some(Arc::new(self.near(model, x)?)), ..self.below(self.high_hz) };
+        let by = self.by_surrogate(model, x).ok()?;
         let at = by.point(model, x.clone()).ok()?;
         let strengths = |e: usize| {
             let free = model.effects[e].free.iter().enumerate().filter(|(_, free)| free.zero.is_some());
@@ -247,7 +268,7 @@ impl<'a> Fitter<'a> {
     }
 
     fn below(&self, high_hz: f64) -> Self {
-        Self { high_hz, ..Self::new(self.forward, self.spread.clone(), self.reference.clone()) }
+        Self { high_hz, ..Self::of(self.forward, self.expected.clone()) }
     }
 
     /// Those of `rows` that count.

@@ -6,7 +6,7 @@ use super::few;
 use super::forward::Forward;
 use super::parameters::{Declared, Model, prior_of};
 use super::posterior::{Fit, Fitter, Start, Stop, dot, square};
-use super::spread::Spread;
+use super::weights::Expected;
 use super::weights::Rows;
 use crate::diagnosis::{DiagnoseSettings, Problem, Replay};
 use crate::effects::Instance;
@@ -94,7 +94,7 @@ pub fn power(problem: &Problem, replay: &dyn Replay, settings: &DiagnoseSettings
     forward.anchor(&[])?;
     let declared = Declared::new(&quiet)?;
     let prediction = Arc::new(forward.predict(&[])?);
-    let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+    let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
     let model = Model { declared: &declared, effects: Vec::new() };
     let x = vec![0.0; model.len()];
     let base = fitter.fit(Start::at(model, x), Stop::WHERE_IT_IS)?;

@@ -3,9 +3,11 @@
 use super::forward::Forward;
 use super::parameters::{Declared, Model};
 use super::posterior::{Fitter, Start, Stop};
-use super::spread::Spread;
+use super::weights::Expected;
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
+use crate::effects::Instance;
 use crate::error::Result;
+use std::sync::Arc;
 use toml::Table;
 
 /// Most rounds, and the change of the column's level (ln) below which they end.
@@ -54,32 +56,31 @@ pub fn recalibrate(
     let forward = Forward::new(&problem, &replay, settings)?;
     let declared = Declared::new(&problem)?;
     forward.anchor(&[])?;
-    let (_, (model, x)) = recalibrated(&forward, &declared)?;
+    let (_, (model, x)) = recalibrated(&forward, &declared, Vec::new())?;
     Ok(model.declared.tables(&x))
 }
 
-/// What is declared, most probable within its tolerances: what the records say of the field and of the column's error is read off
-/// beside it, until that stands still.
+/// What is declared, most probable within its tolerances beside `effects` without a strength: what the records say of the field and of the
+/// column's error is read off beside it, until that stands still.
 pub(super) fn recalibrated<'a>(
     forward: &'a Forward<'a>,
     declared: &'a Declared,
-) -> Result<(Spread, (Model<'a>, Vec<f64>))> {
-    let model = Model { declared, effects: Vec::new() };
+    effects: Vec<Instance>,
+) -> Result<(Expected, (Model<'a>, Vec<f64>))> {
+    let model = Model { declared, effects };
     let mut x = vec![0.0; model.len()];
-    let mut prediction = std::sync::Arc::new(forward.predict(&[])?);
-    let mut spread = Spread::estimated(forward, &prediction);
+    let mut expected = Expected::of(forward, Arc::new(forward.predict(&model.tables(&x))?));
     for round in 0..ROUNDS {
-        let fitter = Fitter::new(forward, spread.clone(), prediction.clone());
+        let fitter = Fitter::new(forward, expected.clone());
         let start = Start::at(model.clone(), x);
         let fit =
             if round == 0 { fitter.fit_from_afar(start, Stop::CLOSE)? } else { fitter.fit(start, Stop::CLOSE)? };
-        (x, prediction) = (fit.x, fit.prediction);
-        let found = Spread::estimated(forward, &prediction);
-        let is_still = (found.level / spread.level).ln().abs() < STILL;
-        spread = found;
+        let found = Expected::of(forward, fit.prediction);
+        let is_still = (found.spread.level / expected.spread.level).ln().abs() < STILL;
+        (x, expected) = (fit.x, found);
         if is_still {
             break;
         }
     }
-    Ok((spread, (model, x)))
+    Ok((expected, (model, x)))
 }

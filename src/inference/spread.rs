@@ -2,7 +2,7 @@
 //! the column has wrong.
 
 use super::coherence::{FLOOR, Moments, coherence_at_knots, coherent, interpolated, knot_hz, straying_at_knots};
-use super::forward::{At, Bins, Forward, Predicted, Prediction, channels};
+use super::forward::{At, Bins, Forward, Predicted, Prediction};
 use crate::diagnosis::spectra::{self, RecordSpectra};
 use crate::diagnosis::{NoiseSource, USUAL_SHARE};
 use crate::numerics::smooth::running_mean;
@@ -44,8 +44,6 @@ pub struct Spread {
     /// Expected power of each record, its noise included, and of what it has beside the base, by what the other events make of the
     /// prediction: `[record][sensor][bin]`.
     pub(super) expected: [Powers; 2],
-    /// The channels for which that holds.
-    pub(super) channels: Vec<usize>,
 }
 
 /// What all records share of a residual at one frequency.
@@ -308,8 +306,7 @@ impl Spread {
         let added_share = prediction.first().map_or(0.0, |p| p.added_share);
         let level = Self::level(&repeatable, model, 1.0);
         let expected = [0.0, 1.0].map(|base| Arc::new(expected_powers(forward, prediction, base)));
-        let channels = channels(prediction).to_vec();
-        Self { level, coherence, straying, added_share, repeatable, numerical, expected, channels }
+        Self { level, coherence, straying, added_share, repeatable, numerical, expected }
     }
 
     /// The same for the records of `few` alone.
@@ -347,6 +344,13 @@ impl Spread {
             [frequencies_hz[band].iter().sum::<f64>() / n, sum.re / n, sum.im / n]
         };
         bands(&frequencies_hz).into_iter().map(mean).collect()
+    }
+
+    /// How far it is from another: change of the level (ln), and the largest of a coherence.
+    pub fn distance(&self, other: &Self) -> [f64; 2] {
+        let coherences = self.coherence.iter().flatten().zip(other.coherence.iter().flatten());
+        let moved = coherences.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        [(self.level / other.level).ln().abs(), moved]
     }
 
     /// Coherence of output sensor `s` at the knots: frequency in Hz, and c.

@@ -2,7 +2,7 @@
 
 use super::coherence::{coherent, interpolated};
 use super::covariance::Covariance;
-use super::forward::{At, Forward, Predicted, Prediction, channels};
+use super::forward::{At, Forward, Predicted, Prediction};
 use super::spread::{AN_OCTAVE, Places, Spread, band_hz, bands, gains, model_error, noise, powers, seen};
 use crate::diagnosis::spectra;
 use crate::metrics::median;
@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::f64::consts::{LN_2, SQRT_2};
 use std::ops::Range;
+use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -20,6 +21,32 @@ type C64 = Complex<f64>;
 const ALIKE_OCTAVES: f64 = 0.5;
 /// Places between which a line is compared with what is around it.
 const LINE_NEIGHBOURS: [usize; 2] = [3, 12];
+
+/// What is expected of records that sensors are taken to have made on the same channels, beside the prediction it was read off.
+#[derive(Clone)]
+pub struct Expected {
+    /// What is expected of residuals.
+    pub spread: Spread,
+    /// The prediction.
+    pub reference: Arc<Prediction>,
+}
+
+impl Expected {
+    /// What the residuals of `reference` show.
+    pub fn of(forward: &Forward<'_>, reference: Arc<Prediction>) -> Self {
+        Self { spread: Spread::estimated(forward, &reference), reference }
+    }
+
+    /// The same in the events of `few` alone.
+    pub fn in_events(&self, few: &Forward<'_>) -> Self {
+        Self { spread: self.spread.in_events(few), reference: Arc::new(few.kept(&self.reference)) }
+    }
+
+    /// Weights of the records.
+    pub fn weights(&self, forward: &Forward<'_>) -> Weights {
+        Weights::new(forward, &self.spread, &self.reference)
+    }
+}
 
 /// Residuals of all records in units of what is expected of them, record by record.
 pub type Rows = Vec<Vec<f64>>;
@@ -123,11 +150,8 @@ pub fn line_hz(forward: &Forward<'_>, rows: &Rows) -> Option<(f64, f64)> {
 
 impl Weights {
     /// Weights of the records by `spread`, the transfer functions those of `prediction`.
-    pub fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
+    fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
         let indices: Vec<usize> = (0..forward.records.len()).collect();
-        // What strays and what the column has wrong beside other records is to be read off those.
-        let own = (channels(prediction) != spread.channels).then(|| Spread::estimated(forward, prediction));
-        let spread = own.as_ref().unwrap_or(spread);
         let all: Vec<(Record, f64)> =
             indices.par_iter().map(|i| Self::of(forward, spread, *i, &prediction[*i])).collect();
         let (records, constants): (Vec<Record>, Vec<f64>) = all.into_iter().unzip();
@@ -237,7 +261,7 @@ mod tests {
         let replay = Uniform(&problem);
         let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
         let prediction = forward.predict(&[]).unwrap();
-        let weights = Weights::new(&forward, &Spread::estimated(&forward, &prediction), &prediction);
+        let weights = Expected::of(&forward, Arc::new(prediction.clone())).weights(&forward);
         let (found_hz, width_hz) = line_hz(&forward, &weights.rows(&prediction)).unwrap();
         assert!((found_hz - 6.35).abs() < width_hz, "{found_hz} Hz, {width_hz} Hz wide");
     }

@@ -1,11 +1,10 @@
-//! Which candidates are worth a fit beside a model: each at every place, alone, in pairs and in the place of an effect that is there, by the
-//! linear problem around that model.
+//! Which candidates are worth a fit beside a model: each at every place, alone and in pairs, by the linear problem around that model.
 
-use super::{Competition, HEATS, Look, TOLD};
-use crate::effects::{self, Instance};
+use super::{Competition, HEATS, TOLD};
+use crate::effects::Instance;
 use crate::inference::algebra::{self, Quadratic};
 use crate::inference::equivalent::Neighbourhood;
-use crate::inference::parameters::{Model, prior_of};
+use crate::inference::parameters::prior_of;
 use crate::inference::posterior::{Fit, Fitter, Start, combined, dot, gradient, square};
 use crate::inference::weights::{Rows, line_hz};
 use crate::metrics::median;
@@ -15,7 +14,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Candidates that are replayed at further strengths, pairs of which are looked at, and places of one form among them.
-const SHORTLIST: usize = 12;
+pub(super) const SHORTLIST: usize = 12;
 const PLACES: usize = 3;
 /// Strengths at which candidates are tried, in typical sizes: all of them, and those worth another look.
 pub(super) const NODES: [f64; 2] = [0.6, 1.8];
@@ -26,6 +25,8 @@ const STRONGER: f64 = 3.0;
 const STRONGER_TIMES: usize = 2;
 /// Places to either side of a line, within the resolution of the records, at which a frequency is tried.
 const LINE_STEPS: i32 = 4;
+/// Places to either side of a delay, up to halfway to the next that a fit starts from, at which it is tried.
+const DELAY_STEPS: i32 = 5;
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
 /// Share of what candidates do that has to be along what the equivalent-linear column has them do.
@@ -75,8 +76,6 @@ impl Part {
 #[derive(Clone)]
 pub(super) struct Proposal {
     pub parts: Vec<Part>,
-    /// Effect of the model whose place they take.
-    pub instead_of: Option<usize>,
     /// Coordinates of the model beside them.
     beside: Vec<f64>,
     /// ln of their posterior up to a constant.
@@ -84,31 +83,13 @@ pub(super) struct Proposal {
 }
 
 impl<'a> Competition<'a> {
-    /// The model of `base` with what is proposed, and the coordinates of `base` that are still in it.
-    fn model_with(base: &Fit<'a>, set: &Proposal) -> (Model<'a>, Vec<usize>) {
-        let left_out = set.instead_of.map_or(0..0, |i| base.model.coordinates_of(i));
-        let mut model = base.model.clone();
-        set.instead_of.map(|i| model.effects.remove(i));
-        model.effects.extend(set.parts.iter().map(|part| part.instance.clone()));
-        (model, (0..base.x.len()).filter(|i| !left_out.contains(i)).collect())
-    }
-
-    /// Where to start a fit of what takes the place of an effect of `base`: from what is declared, for what stood in for one effect leads
-    /// away from the other.
-    pub(super) fn from_declared(base: &Fit<'a>, set: Proposal) -> Start<'a> {
-        let (model, kept) = Self::model_with(base, &set);
-        let declared = base.model.declared.len();
-        let mut x: Vec<f64> = kept.iter().map(|i| if *i < declared { 0.0 } else { base.x[*i] }).collect();
-        set.parts.iter().for_each(|part| x.extend(part.instance.zero().unwrap_or_else(|| part.start.clone())));
-        Start::at(model, x)
-    }
-
     /// The model of `base` with what is proposed, where to start its fit and the slopes that are known there: where the linear problem puts
     /// it, or on the way there, as far as the column agrees.
     pub(super) fn started(by: &Fitter<'a>, base: &Fit<'a>, set: Proposal) -> Start<'a> {
-        let (model, kept) = Self::model_with(base, &set);
+        let mut model = base.model.clone();
+        model.effects.extend(set.parts.iter().map(|part| part.instance.clone()));
         let at = |share: f64| {
-            let mut x: Vec<f64> = kept.iter().map(|i| base.x[*i] + share * (set.beside[*i] - base.x[*i])).collect();
+            let mut x: Vec<f64> = base.x.iter().zip(&set.beside).map(|(x, to)| x + share * (to - x)).collect();
             set.parts.iter().for_each(|part| x.extend(&part.start));
             x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
             x
@@ -118,12 +99,12 @@ impl<'a> Competition<'a> {
         let costs = [cost(&all[0]), cost(&all[1]), cost(&all[2])];
         let best = (0..all.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
         let x = all.into_iter().nth(best).unwrap_or_default();
-        let slopes = kept.iter().map(|i| Some(base.slopes[*i].clone())).chain(set.parts.iter().flat_map(Part::slopes));
+        let slopes = base.slopes.iter().cloned().map(Some).chain(set.parts.iter().flat_map(Part::slopes));
         Start::at(model, x).carrying(slopes, base)
     }
 
-    /// Candidates at a strength of this many typical sizes, on one side of nothing or on each.
-    fn nodes(instances: &[Instance], size: f64, on_each_side: bool) -> Vec<Node> {
+    /// Candidates at a strength of this many typical sizes, on one side of nothing.
+    fn nodes(instances: &[Instance], size: f64) -> Vec<Node> {
         let mut nodes: Vec<Node> = Vec::new();
         for instance in instances {
             let Some(zero) = instance.zero() else {
@@ -131,8 +112,8 @@ impl<'a> Competition<'a> {
                 continue;
             };
             let sides: Vec<Vec<f64>> = [1.0, -1.0].iter().filter_map(|s| away(instance, &zero, size, *s)).collect();
-            let is_one_sided = on_each_side || sides.len() == 1;
-            for at in sides.into_iter().take(if on_each_side { 2 } else { 1 }) {
+            let is_one_sided = sides.len() == 1;
+            if let Some(at) = sides.into_iter().next() {
                 let square = |i: usize| ((at[i] - zero[i]) / prior_of(&instance.free[i])[1]).powi(2);
                 let strengths = (0..zero.len()).filter(|i| instance.free[*i].zero.is_some());
                 let distance = strengths.map(square).sum::<f64>().sqrt();
@@ -142,59 +123,45 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// All candidates beside `base`: singles, pairs of the best, and each in the place of an effect that is there.
-    pub(super) fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>, look: Look) -> Vec<Proposal> {
-        let is_far = look == Look::Far;
+    /// All candidates beside `base`, and pairs of the best.
+    pub(super) fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Proposal> {
+        let n_open = self.max_effects.saturating_sub(base.model.effects.len());
+        if n_open == 0 {
+            return Vec::new();
+        }
         let lacking: Vec<Instance> =
             self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i))).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && i.hidden() == 0;
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
-        let n_effect = base.model.effects.len();
-        let n_open = self.max_effects.saturating_sub(n_effect);
-        let discrete = if n_open > 0 { Self::nodes(&discrete, NODES[0], false) } else { Vec::new() };
+        let smooth = on_threads(smooth.len(), |i| Self::at_delay(by, base, smooth[i].clone()));
+        let discrete = Self::nodes(&discrete, NODES[0]);
         let discrete =
             on_threads(discrete.len(), |i| self.discrete(by, base, Self::at_line(by, base, discrete[i].clone())));
         let mut proposals: Vec<Proposal> = discrete.into_iter().flatten().collect();
-        if n_open == 0 && look != Look::AtRivals {
-            return proposals;
-        }
-        // Where something strong is missing, what is linear beside a model that lacks it says little of places: each is looked at where
-        // it would be strong. Elsewhere what is promising is, for a strong effect is not linear.
         // Further nodes are multiples of these, which come first.
-        let nodes = Self::nodes(&smooth, NODES[usize::from(is_far)], is_far);
+        let nodes = Self::nodes(&smooth, NODES[0]);
         let near = by.near(&base.model, &base.x);
         let of = |near: Option<&Neighbourhood<'_, 'a>>, nodes: Vec<Node>| -> Vec<Direction> {
             on_threads(nodes.len(), |i| Self::told(near, by, base, nodes[i].clone())).into_iter().flatten().collect()
         };
         let mut all = of(near.as_ref(), nodes.clone());
-        let again = of(None, self.shortlist(by, base, &all, is_far));
+        let again = of(None, self.shortlist(by, base, &all));
         // What is promising by the equivalent-linear column is replayed, and everything where replays do something else.
         if !bears_out(&again, &all) {
             all = of(None, nodes);
         }
         all.retain(|d| !again.iter().any(|n| n.node.instance == d.node.instance));
         all.extend(again);
-        if !is_far {
-            // By that column: so slight a change is lost among what a replay does by chance.
-            let slight = Self::nodes(&smooth, SLIGHT, false);
-            let slight = on_threads(slight.len(), |i| Self::direction(near.as_ref(), by, base, slight[i].clone()));
-            all.extend(slight.into_iter().flatten());
-        }
+        // By that column: so slight a change is lost among what a replay does by chance.
+        let slight = Self::nodes(&smooth, SLIGHT);
+        let slight = on_threads(slight.len(), |i| Self::direction(near.as_ref(), by, base, slight[i].clone()));
+        all.extend(slight.into_iter().flatten());
         let Some(beside) = Linear::new(by, base, &all) else { return proposals };
-        if n_open > 0 {
-            let singles = self.singles(&beside, |_| true);
-            if n_open > 1 {
-                proposals.extend(self.pairs(&beside, &singles));
-            }
-            proposals.extend(singles.into_iter().map(|(_, single)| single));
+        let singles = self.singles(&beside);
+        if n_open > 1 {
+            proposals.extend(self.pairs(&beside, &singles));
         }
-        let replaceable = if look == Look::AtRivals { 0..n_effect } else { 0..0 };
-        for (index, instead) in replaceable.filter_map(|index| Some((index, beside.instead_of(index)?))) {
-            let own = &base.model.effects[index];
-            let mut places: BTreeMap<String, usize> = BTreeMap::new();
-            let singles = self.singles(&instead, |other| is_rival(own, other)).into_iter().map(|(_, single)| single);
-            proposals.extend(singles.filter(|p| is_among_best(&mut places, &p.parts[0].instance)));
-        }
+        proposals.extend(singles.into_iter().map(|(_, single)| single));
         proposals
     }
 
@@ -245,23 +212,41 @@ impl<'a> Competition<'a> {
         node
     }
 
+    /// `instance` starting at the delay along which the residuals of `base` lie most, if it has one: a fit only finds the nearest period.
+    fn at_delay(by: &Fitter<'a>, base: &Fit<'a>, instance: Instance) -> Instance {
+        let Some(index) = instance.delay() else { return instance };
+        let apart = instance.free[index].size;
+        let at = |step: i32| {
+            let mut there = instance.clone();
+            there.free[index].start += 0.5 * apart * f64::from(step) / f64::from(DELAY_STEPS);
+            there
+        };
+        let along = |there: &Instance| {
+            let change = by.change_with(base, there, &away(there, &there.zero()?, NODES[0], 1.0)?).ok()?;
+            Some(dot(&change, &base.rows).powi(2) / square(&change).max(f64::MIN_POSITIVE))
+        };
+        let all = (-DELAY_STEPS..=DELAY_STEPS).map(at).filter_map(|there| Some((along(&there)?, there)));
+        let best = all.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, there)| there);
+        best.unwrap_or(instance)
+    }
+
     /// A candidate that is either there or not, or that takes numbers from the records.
     fn discrete(&self, by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Proposal> {
         let there = by.predict_with(base, &node.instance, &node.at).ok()?;
         let cost = by.nll(&there) + Fitter::prior(&base.model, &base.x);
         let log_posterior = self.log_posterior(base) + base.cost - cost + self.prior_of(&node.instance);
         let part = Part { instance: node.instance, start: node.at, along: None };
-        Some(Proposal { parts: vec![part], instead_of: None, beside: base.x.clone(), log_posterior })
+        Some(Proposal { parts: vec![part], beside: base.x.clone(), log_posterior })
     }
 
     /// Nodes of candidates worth another look, the best places of each form, on the side of nothing to which they point: where they were
-    /// looked at, and unless that `is_far` a stronger one.
-    fn shortlist(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction], is_far: bool) -> Vec<Node> {
+    /// looked at, and a stronger one.
+    fn shortlist(&self, by: &Fitter<'a>, base: &Fit<'a>, directions: &[Direction]) -> Vec<Node> {
         let mut places: BTreeMap<String, usize> = BTreeMap::new();
         let mut nodes: Vec<Node> = Vec::new();
         let mut found = 0;
         let Some(linear) = Linear::new(by, base, directions) else { return nodes };
-        for (index, single) in self.singles(&linear, |_| true) {
+        for (index, single) in self.singles(&linear) {
             let Part { instance, start: toward, .. } = &single.parts[0];
             if !is_among_best(&mut places, instance) || found == SHORTLIST {
                 continue;
@@ -271,19 +256,18 @@ impl<'a> Competition<'a> {
             let zero = instance.zero().unwrap_or_default();
             let is_opposite = zero.iter().zip(toward).zip(&known.at).any(|((z, t), at)| (t - z) * (at - z) < 0.0);
             let side = if is_opposite { -1.0 } else { 1.0 };
-            let further = if is_far { None } else { Some(NODES[1] / NODES[0]) };
-            for strength in [Some(1.0), further].into_iter().flatten() {
+            for strength in [1.0, NODES[1] / NODES[0]] {
                 nodes.push(Node { is_one_sided: true, ..known.times(side * strength) });
             }
         }
         nodes
     }
 
-    /// Each candidate that `is_meant` takes at its best node by the linear problem, best first, and the direction that it is.
-    fn singles(&self, linear: &Linear<'_, 'a>, is_meant: impl Fn(&Instance) -> bool) -> Vec<(usize, Proposal)> {
+    /// Each candidate at its best node by the linear problem, best first, and the direction that it is.
+    fn singles(&self, linear: &Linear<'_, 'a>) -> Vec<(usize, Proposal)> {
         let instance = |i: usize| &linear.directions[i].node.instance;
         let mut best: Vec<(usize, Proposal)> = Vec::new();
-        for i in (0..linear.directions.len()).filter(|i| is_meant(instance(*i))) {
+        for i in 0..linear.directions.len() {
             let Some(found) = self.proposal(linear, &[i]) else { continue };
             match best.iter_mut().find(|(k, _)| instance(*k) == instance(i)) {
                 Some((_, known)) if known.log_posterior >= found.log_posterior => {}
@@ -298,8 +282,10 @@ impl<'a> Competition<'a> {
     /// Pairs of the best of `singles`, best first.
     fn pairs(&self, linear: &Linear<'_, 'a>, singles: &[(usize, Proposal)]) -> Vec<Proposal> {
         let shortlist: Vec<usize> = singles.iter().take(SHORTLIST).map(|(i, _)| *i).collect();
+        let instance = |i: usize| &linear.directions[i].node.instance;
         let after = |k: usize| shortlist[k + 1..].iter().map(move |other| (k, *other));
-        let all = (0..shortlist.len()).flat_map(after);
+        let is_two = |(k, other): &(usize, usize)| !instance(shortlist[*k]).is_one(instance(*other));
+        let all = (0..shortlist.len()).flat_map(after).filter(is_two);
         let mut pairs: Vec<Proposal> = all.filter_map(|(k, o)| self.proposal(linear, &[shortlist[k], o])).collect();
         pairs.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
         pairs.truncate(SHORTLIST);
@@ -309,8 +295,7 @@ impl<'a> Competition<'a> {
     /// A `set` of directions with the prior of all effects.
     fn proposal(&self, linear: &Linear<'_, 'a>, set: &[usize]) -> Option<Proposal> {
         let mut proposal = linear.proposal(set)?;
-        let there = linear.base.model.effects.iter().enumerate().filter(|(i, _)| Some(*i) != linear.instead_of);
-        let effects = there.map(|(_, e)| e).chain(proposal.parts.iter().map(|p| &p.instance));
+        let effects = linear.base.model.effects.iter().chain(proposal.parts.iter().map(|p| &p.instance));
         proposal.log_posterior += effects.map(|e| self.prior_of(e)).sum::<f64>();
         Some(proposal)
     }
@@ -320,8 +305,6 @@ impl<'a> Competition<'a> {
 struct Linear<'c, 'a> {
     base: &'c Fit<'a>,
     directions: &'c [Direction],
-    /// Effect of the model that is taken back to nothing.
-    instead_of: Option<usize>,
     /// ln of the density over what is there: coordinates, then directions in units of their nodes.
     density: Quadratic,
     /// Coordinates that give way: what stands at an end of its range does not.
@@ -343,29 +326,11 @@ impl<'c, 'a> Linear<'c, 'a> {
         gradient.extend((n..n + count).map(|i| own[(i, n + count)]));
         let mut bounds = base.model.room(&base.x);
         bounds.extend(directions.iter().map(|d| [if d.node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST]));
-        Self::of(base, directions, None, Quadratic { a: Mat::from_fn(n + count, n + count, a), gradient, bounds, size })
-    }
-
-    /// The same with effect `index` of the model taken back to nothing; none where it cannot be along its coordinates.
-    fn instead_of(&self, index: usize) -> Option<Self> {
-        let Self { base, directions, .. } = *self;
-        let zero = base.model.effects[index].zero()?;
-        let mut density = self.density.clone();
-        let coordinates = base.model.coordinates_of(index);
-        coordinates.zip(zero).for_each(|(i, zero)| density.bounds[i] = [zero - base.x[i]; 2]);
-        Self::of(base, directions, Some(index), density)
-    }
-
-    fn of(
-        base: &'c Fit<'a>,
-        directions: &'c [Direction],
-        instead_of: Option<usize>,
-        density: Quadratic,
-    ) -> Option<Self> {
-        let all: Vec<usize> = (0..base.x.len()).collect();
+        let density = Quadratic { a: Mat::from_fn(n + count, n + count, a), gradient, bounds, size };
+        let all: Vec<usize> = (0..n).collect();
         let (moved, _) = density.of(&all).highest(f64::INFINITY)?;
         let beside = all.into_iter().filter(|i| !density.bounds[*i].contains(&moved[*i])).collect();
-        Some(Self { base, directions, instead_of, density, beside })
+        Some(Self { base, directions, density, beside })
     }
 
     /// A `set` of directions as far as the records lead, the coordinates where they give way to that; `None` where the directions are one.
@@ -384,7 +349,6 @@ impl<'c, 'a> Linear<'c, 'a> {
         let parts = set.iter().zip(&moved[n..]).map(|(i, share)| self.directions[*i].part(*share));
         Some(Proposal {
             parts: parts.collect(),
-            instead_of: self.instead_of,
             beside: self.base.x.iter().zip(&moved).map(|(x, d)| x + d).collect(),
             log_posterior: gain + occam - self.base.cost,
         })
@@ -434,29 +398,23 @@ fn bears_out(replayed: &[Direction], foretold: &[Direction]) -> bool {
     shares.is_empty() || median(&shares) > BORNE_OUT
 }
 
-/// Whether `other` could be taken for `own`: the catalogue knows them to be confused, or it is another place of the same.
-fn is_rival(own: &Instance, other: &Instance) -> bool {
-    let confused = effects::find(own.kind).map_or(&[][..], |e| e.catalogue.confused_with);
-    own.kind == other.kind || confused.contains(&other.kind)
-}
-
 /// Whether `instance` is at one of the best places of its form, where they come best first; `places` are those of each form so far.
-fn is_among_best(places: &mut BTreeMap<String, usize>, instance: &Instance) -> bool {
+pub(super) fn is_among_best(places: &mut BTreeMap<String, usize>, instance: &Instance) -> bool {
     let count = places.entry(form(instance)).or_default();
     *count += 1;
     *count <= PLACES
 }
 
-/// The best place of each set of forms.
-pub(super) fn distinct(proposals: Vec<Proposal>) -> Vec<Proposal> {
+/// The best place of each set of forms among `all`, best first, whose candidates are those that `of` says.
+pub(super) fn distinct<T>(all: Vec<T>, of: impl Fn(&T) -> Vec<Instance>) -> Vec<T> {
     let mut known: Vec<Vec<String>> = Vec::new();
     let mut sets = Vec::new();
-    for proposal in proposals {
-        let mut forms: Vec<String> = proposal.parts.iter().map(|p| form(&p.instance)).collect();
+    for one in all {
+        let mut forms: Vec<String> = of(&one).iter().map(form).collect();
         forms.sort_unstable();
         if sets.len() < HEATS && !known.contains(&forms) {
             known.push(forms);
-            sets.push(proposal);
+            sets.push(one);
         }
     }
     sets

@@ -58,7 +58,7 @@ impl Stop {
     /// As close to these as models have to be compared by on the way.
     pub const CLOSE: Self = Self { steps: STEPS, gain: NEAR, replays: Replays::WhereDoubted };
     /// Good enough to go on from.
-    pub(super) const ON_THE_WAY: Self = Self { steps: 10, gain: NEAR, replays: Replays::Nowhere };
+    pub const ON_THE_WAY: Self = Self { steps: 10, gain: NEAR, replays: Replays::Nowhere };
     /// At once: what is known of the model where it is.
     pub const WHERE_IT_IS: Self = Self { steps: 0, ..Self::CLOSE };
 }
@@ -77,6 +77,11 @@ enum Origin {
 /// Whether what was `gained` bears out what slopes `foretold`.
 pub(super) fn is_borne_out(gained: f64, foretold: f64) -> bool {
     (TRUSTED[0]..TRUSTED[1]).contains(&(gained / foretold))
+}
+
+/// Least that what was `foretold` comes to where it is borne out.
+pub fn least_borne_out(foretold: f64) -> f64 {
+    TRUSTED[0] * foretold
 }
 
 /// A search on its way.

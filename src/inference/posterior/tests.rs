@@ -20,11 +20,11 @@ fn fitted<T>(problem: &Problem, kinds: &[&str], use_of: impl for<'x> FnOnce(&Fit
     let mut x: Vec<f64> = model.prior().iter().map(|[mean, _]| *mean).collect();
     let mut prediction = Arc::new(forward.predict(&model.tables(&x)).unwrap());
     for _ in 0..3 {
-        let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+        let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
         let fit = fitter.fit(Start::at(model.clone(), x), Stop::EXACT).unwrap();
         (x, prediction) = (fit.x, fit.prediction);
     }
-    let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+    let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
     let fit = fitter.fit(Start::at(model, x), Stop::EXACT).unwrap();
     use_of(&fit, &fitter)
 }
@@ -72,7 +72,7 @@ fn slopes_of_the_equivalent_linear_column_are_those_of_replays() {
     let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
     let declared = Declared::new(&problem).unwrap();
     let prediction = Arc::new(forward.predict(&[]).unwrap());
-    let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+    let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
     let all = effects::instances(&problem.array);
     let kinds = ["small_strain_damping", "frequency_dependent_damping", "layer_velocity", "thin_seam"];
     let of = |kind: &&str| all.iter().find(|i| i.kind == *kind).unwrap().clone();
@@ -175,7 +175,7 @@ fn damping_of_a_partly_coherent_field_is_found() {
             let found = damping_ratio(fit);
             println!("seed {seed}: damping ratio {found:.4}, 0.0500 holds");
             assert!((found / 0.05 - 1.0).abs() < 0.1, "seed {seed}: {found}");
-            for [f, c] in fitter.spread().at_knots(1, band_hz(fitter.forward)) {
+            for [f, c] in fitter.spread(&fit.prediction).unwrap().at_knots(1, band_hz(fitter.forward)) {
                 println!("  {f:.2} Hz: {c:.3} {:.3}", straying(f));
                 assert!((c - straying(f)).abs() < 0.1, "seed {seed}, {f} Hz: {c} {}", straying(f));
             }
@@ -228,7 +228,7 @@ fn residuals_of_a_partly_coherent_field_tell_no_more_than_they_know() {
                 let effect = all.iter().find(|i| i.kind == kind && i.place() != "base").unwrap().clone();
                 let model = Model { declared: &declared, effects: vec![effect] };
                 let prediction = Arc::new(forward.predict(&[]).unwrap());
-                let fitter = Fitter::new(&forward, Spread::estimated(&forward, &prediction), prediction);
+                let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
                 let at = fitter.point(&model, model.prior().iter().map(|[mean, _]| *mean).collect()).unwrap();
                 let along = fitter.slope(&model, &at, model.start(0)).unwrap();
                 dot(&along, &at.rows) / square(&along).sqrt()
@@ -249,7 +249,7 @@ fn residuals_of_a_partly_coherent_field_tell_no_more_than_they_know() {
 fn a_coherent_field_is_found_coherent_and_leaving_events_out_moves_little() {
     let problem = problem(&Truth { soil: [204.0, 0.025], ..Truth::default() });
     fitted(&problem, &[], |fit, fitter| {
-        let spread = fitter.spread();
+        let spread = fitter.spread(&fit.prediction).unwrap();
         assert!(spread.coherence.iter().flatten().all(|c| *c > 0.99), "{:?}", spread.coherence);
         assert!(spread.level < 1.2, "{}", spread.level);
         let covariance = fit.covariance().unwrap();

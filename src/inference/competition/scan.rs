@@ -1,0 +1,155 @@
+//! Candidates that may be strong: each over all its strengths, from what is declared, by the equivalent-linear column. Where tolerances or
+//! other effects stand in for something strong, what is linear beside them says little of it.
+
+use super::proposals::{SHORTLIST, away, distinct, is_among_best};
+use super::{Competition, FAR, FAR_HEAT};
+use crate::effects::{self, Instance};
+use crate::inference::parameters::Model;
+use crate::inference::posterior::{Fit, Fitter, Start, Stop, least_borne_out};
+use crate::numerics::threads::on_threads;
+use std::collections::BTreeMap;
+
+/// Strengths at which candidates are tried to either side of nothing, in typical sizes.
+const LADDER: [f64; 4] = [0.4, 0.9, 1.5, 2.2];
+
+/// What candidates are added to: a model at its declared values, and the equivalent-linear column there.
+struct Ground<'a> {
+    by: Fitter<'a>,
+    model: Model<'a>,
+    x: Vec<f64>,
+}
+
+impl<'a> Competition<'a> {
+    /// First fits of the most promising candidates beside the effects of `base`.
+    pub(super) fn strong(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
+        let Some(ground) = Ground::of(by, base, None) else { return Vec::new() };
+        let open = self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i)));
+        let found = self.scanned(&ground, open);
+        let own = |fit: &Fit<'a>| fit.model.effects.last().cloned().into_iter().collect::<Vec<_>>();
+        // Which of the places of a form it is that column does not tell well enough.
+        let best = distinct(found.iter().collect(), |fit| own(fit));
+        let is_alike = |fit: &&Fit<'a>| best.iter().any(|b| own(b).iter().zip(&own(fit)).all(|(b, e)| b.is_alike(e)));
+        Self::replayed(by, &found.iter().filter(is_alike).cloned().collect::<Vec<_>>())
+    }
+
+    /// First fits of what could be taken for each of the effects of `base`, in its place.
+    pub(super) fn rivals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
+        let of = |index: usize| -> Vec<Fit<'a>> {
+            let own = &base.model.effects[index];
+            let Some(ground) = own.zero().and_then(|_| Ground::of(by, base, Some(index))) else { return Vec::new() };
+            let Some(there) = ground.fitted(own) else { return Vec::new() };
+            let highest = self.log_posterior(&there);
+            let is_meant = |i: &&Instance| is_rival(own, i) && !base.model.effects.iter().any(|e| e.is_one(i));
+            let found = self.scanned(&ground, self.instances.iter().filter(is_meant));
+            let is_close = |fit: &Fit<'a>| least_borne_out(highest - self.log_posterior(fit)) < FAR;
+            Self::replayed(by, &found.into_iter().filter(is_close).collect::<Vec<_>>())
+        };
+        (0..base.model.effects.len()).flat_map(of).collect()
+    }
+
+    /// Fits of the most promising `candidates` to the equivalent-linear column, best first.
+    fn scanned<'i>(&self, ground: &Ground<'a>, candidates: impl Iterator<Item = &'i Instance>) -> Vec<Fit<'a>> {
+        let smooth: Vec<&Instance> = candidates.filter(|i| i.zero().is_some() && i.hidden() == 0).collect();
+        let tried = |i: usize| Some((ground.best_of_ladder(smooth[i])?.1, smooth[i]));
+        let mut all: Vec<(f64, &Instance)> = on_threads(smooth.len(), tried).into_iter().flatten().collect();
+        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut places: BTreeMap<String, usize> = BTreeMap::new();
+        all.retain(|(_, instance)| is_among_best(&mut places, instance));
+        all.truncate(SHORTLIST);
+        let mut fits: Vec<Fit<'a>> = on_threads(all.len(), |i| ground.fitted(all[i].1)).into_iter().flatten().collect();
+        fits.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+        fits
+    }
+
+    /// Fits to the column itself from where those of the equivalent-linear one ended.
+    fn replayed(by: &Fitter<'a>, found: &[Fit<'a>]) -> Vec<Fit<'a>> {
+        let fitted = |i: usize| by.fit(Start::at(found[i].model.clone(), found[i].x.clone()), FAR_HEAT).ok();
+        on_threads(found.len(), fitted).into_iter().flatten().collect()
+    }
+}
+
+impl<'a> Ground<'a> {
+    /// The model of `base`, one of its effects left out; none where the column cannot be replayed there.
+    fn of(by: &Fitter<'a>, base: &Fit<'a>, left_out: Option<usize>) -> Option<Self> {
+        let mut model = base.model.clone();
+        let mut x = base.x.clone();
+        if let Some(index) = left_out {
+            x.drain(base.model.coordinates_of(index));
+            model.effects.remove(index);
+        }
+        x[..model.declared.len()].fill(0.0);
+        Some(Self { by: by.by_surrogate(&model, &x).ok()?, model, x })
+    }
+
+    fn with(&self, instance: &Instance, at: Vec<f64>) -> (Model<'a>, Vec<f64>) {
+        let mut model = self.model.clone();
+        model.effects.push(instance.clone());
+        (model, self.x.iter().copied().chain(at).collect())
+    }
+
+    /// The most probable strength of `instance` among those of the ladder, and −ln of its posterior density.
+    fn best_of_ladder(&self, instance: &Instance) -> Option<(Vec<f64>, f64)> {
+        let zero = instance.zero()?;
+        let sides = |size: &f64| [1.0, -1.0].map(|side| away(instance, &zero, *size, side));
+        let cost = |at: Vec<f64>| {
+            let (model, x) = self.with(instance, at.clone());
+            Some((at, self.by.cost_at(&model, x).ok()?))
+        };
+        let all = LADDER.iter().flat_map(sides).flatten().filter_map(cost);
+        all.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The fit of `instance` from there.
+    fn fitted(&self, instance: &Instance) -> Option<Fit<'a>> {
+        let (model, x) = self.with(instance, self.best_of_ladder(instance)?.0);
+        self.by.fit(Start::at(model, x), Stop::ON_THE_WAY).ok()
+    }
+}
+
+/// Whether `other` could be taken for `own`: the catalogue knows them to be confused, or it is another place of the same.
+fn is_rival(own: &Instance, other: &Instance) -> bool {
+    let confused = effects::find(own.kind).map_or(&[][..], |e| e.catalogue.confused_with);
+    own.kind == other.kind || confused.contains(&other.kind)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::few::{self, Few};
+    use super::super::super::forward::Forward;
+    use super::super::super::made_up::{Nonlinear, Truth, problem, sample};
+    use super::super::super::parameters::Declared;
+    use super::super::super::recalibration::recalibrated;
+    use super::*;
+    use crate::diagnosis::{DiagnoseSettings, Replay};
+    use crate::numerics::random;
+
+    #[test]
+    fn a_strong_seam_is_found_where_it_is() {
+        let mut problem = problem(&Truth { events: 3, ..Truth::default() });
+        let seam = "kind = 'thin_seam'\ndepth_m = 14.117647\nthickness_m = 2.352941\nln_factor = -0.8";
+        let motions = Nonlinear(&problem).replay(&[toml::from_str(seam).unwrap()]).unwrap();
+        let mut stream = random::stream(3, "noise");
+        for (event, motion) in problem.events.iter_mut().zip(motions) {
+            event.outputs = motion.unwrap();
+            event.outputs.iter_mut().flatten().for_each(|v| *v += 0.01 * sample(&mut stream));
+        }
+        let replay = Nonlinear(&problem);
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let declared = Declared::new(&problem).unwrap();
+        let (expected, (model, x)) = recalibrated(&forward, &declared, Vec::new()).unwrap();
+        let fitter = Fitter::new(&forward, expected);
+        let fit = fitter.fit(Start::at(model, x), Stop::CLOSE).unwrap();
+        assert!(fit.is_strained());
+        let in_few = forward.in_groups(&few::groups(&forward));
+        let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
+        let competition = Competition::new(fitter, fit, few, 4);
+        let by = competition.few.fitter(&competition.fitter);
+        let base = competition.few.of(&by, &competition.fits[0]).unwrap();
+        let found = competition.strong(&by, &base);
+        let best = found.iter().max_by(|a, b| competition.log_posterior(a).total_cmp(&competition.log_posterior(b)));
+        let table = best.unwrap().model.effect_table(&best.unwrap().x, 0);
+        assert_eq!(table["kind"].as_str(), Some("thin_seam"), "{table}");
+        assert!((table["depth_m"].as_float().unwrap() - 14.117647).abs() < 1e-3, "{table}");
+        assert!((table["ln_factor"].as_float().unwrap() + 0.8).abs() < 0.1, "{table}");
+    }
+}
