@@ -56,18 +56,27 @@ pub fn diagnose(
     let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
     let mut competition = Competition::new(fitter, fit, few, settings.max_effects);
     competition.run(progress)?;
-    // What is known may be part of several models and no model by itself.
-    if let Some(effects) = (Answer { forward: &forward, competition: &competition, problem }).unfitted() {
-        competition.fit_part(&effects)?;
+    let mut most = BTreeMap::new();
+    loop {
+        let answer = Answer { forward: &forward, competition: &competition, problem, most: most.clone() };
+        // What is known may be part of several models and no model by itself.
+        if let Some(effects) = answer.unfitted() {
+            competition.fit_part(&effects)?;
+        } else if let Some((kind, n)) = answer.doubtful() {
+            most.insert(kind, n);
+        } else {
+            progress.note(&competition.replays());
+            return Ok(answer.assembled());
+        }
     }
-    progress.note(&competition.replays());
-    Ok(Answer { forward: &forward, competition: &competition, problem }.assembled())
 }
 
 struct Answer<'c, 'a> {
     forward: &'c Forward<'a>,
     competition: &'c Competition<'a>,
     problem: &'c Problem,
+    /// How often effects of a kind are named at most, where that is limited.
+    most: BTreeMap<&'static str, usize>,
 }
 
 impl<'a> Answer<'_, 'a> {
@@ -121,7 +130,12 @@ impl<'a> Answer<'_, 'a> {
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
             tolerance_alarms: strained(answer),
-            notes: [rest.sentence()].into_iter().chain(open.into_iter().flatten()).chain(left_alone).collect(),
+            notes: [rest.sentence()]
+                .into_iter()
+                .chain(open.into_iter().flatten())
+                .chain(self.not_claimed())
+                .chain(left_alone)
+                .collect(),
             rest: Some(rest),
         }
     }
@@ -193,8 +207,37 @@ impl<'a> Answer<'_, 'a> {
     /// Posterior probability of each set of kinds.
     fn masses(&self) -> BTreeMap<Vec<&'static str>, f64> {
         let mut mass: BTreeMap<Vec<&'static str>, f64> = BTreeMap::new();
-        self.probabilities().for_each(|(fit, p)| *mass.entry(kinds(fit)).or_default() += p);
+        for (fit, p) in self.probabilities() {
+            let mut named: Vec<&'static str> = Vec::new();
+            for kind in kinds(fit) {
+                let n = named.iter().filter(|k| **k == kind).count();
+                named.extend(self.most.get(kind).is_none_or(|most| n < *most).then_some(kind));
+            }
+            *mass.entry(named).or_default() += p;
+        }
         mass
+    }
+
+    /// A known kind, and how often it is there without one whose interval holds no effect. Evidence takes events for independent and the
+    /// model for right up to what is expected of residuals; where events disagree more than that, it is sure of too much, and the
+    /// interval, which is theirs, is not.
+    ///
+    /// Source: Kent (1982), doi 10.1093/biomet/69.1.19, for likelihood ratios of models that are not quite right.
+    fn doubtful(&self) -> Option<(&'static str, usize)> {
+        let known = known_kinds(&self.masses());
+        let sure = self.competition.best_of(|fit| !known.is_empty() && kinds(fit) == known)?;
+        let named = sure.model.effects.iter().filter(|e| e.is_named());
+        let holds_nothing = |(instance, found): &(&Instance, Found)| {
+            let is_nothing = |free: &effects::Free| {
+                free.zero.map(|zero| {
+                    (found.parameters.get(free.parameter.name)).is_some_and(|e| e.ci95[0] <= zero && zero <= e.ci95[1])
+                })
+            };
+            let strengths: Vec<bool> = instance.free.iter().filter_map(is_nothing).collect();
+            !strengths.is_empty() && strengths.into_iter().all(|is_nothing| is_nothing)
+        };
+        let (instance, _) = named.zip(self.found(sure)).find(holds_nothing)?;
+        Some((instance.kind, known.iter().filter(|kind| **kind == instance.kind).count() - 1))
     }
 
     /// A sentence for each of the `known` kinds whose place is not known with it.
@@ -214,6 +257,14 @@ impl<'a> Answer<'_, 'a> {
         };
         let once: BTreeSet<&&'static str> = known.iter().collect();
         once.into_iter().filter_map(of).collect()
+    }
+
+    /// What is not named because it is [`Self::doubtful`], in a sentence.
+    fn not_claimed(&self) -> Option<String> {
+        let named: Vec<String> = self.most.keys().map(|kind| kind.replace('_', " ")).collect();
+        (!named.is_empty()).then(|| {
+            format!("Not named, because the 95 % interval of its strength holds no effect: {}.", named.join(", "))
+        })
     }
 
     /// Residual power over that of the records, mean over records and sensors.
@@ -377,6 +428,15 @@ mod tests {
     fn diagnosed(truth: &Truth<'_>) -> Diagnosis {
         let problem = problem(truth);
         diagnose(&problem, &Uniform(&problem), &DiagnoseSettings::default(), &Quiet).unwrap()
+    }
+
+    #[test]
+    fn what_events_disagree_on_is_not_claimed() {
+        let mut problem = problem(&FEW);
+        // One event of four is recorded louder: on average all are, and without that one none.
+        problem.events[0].outputs.iter_mut().flatten().for_each(|v| *v *= 1.2);
+        let found = diagnose(&problem, &Uniform(&problem), &DiagnoseSettings::default(), &Quiet).unwrap();
+        assert!(found.effects.iter().all(|e| e.kind != "sensor_gain"), "{:?}", found.effects);
     }
 
     #[test]

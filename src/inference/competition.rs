@@ -199,6 +199,7 @@ impl<'a> Competition<'a> {
         for _ in 0..SETTLINGS {
             let labels = channels(&self.best().prediction).to_vec();
             self.renew_anchor(&labels, Stop::EXACT)?;
+            self.renew_parts(&labels)?;
             let leading = self.best().model.effects.clone();
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {
