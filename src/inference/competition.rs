@@ -25,7 +25,7 @@ use std::sync::Arc;
 
 /// Single effects and pairs that are fitted around one model in few events, and how many of these in all.
 const HEATS: usize = 4;
-const FINALS: usize = 3;
+const FINALS: usize = 6;
 /// Steps of the first fits.
 const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
@@ -34,6 +34,10 @@ const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
 /// what is expected of residuals has changed.
 const COUNTS: f64 = 5.0;
 const FAR: f64 = 30.0;
+/// The same within which candidates are looked for around a model: odds of 20 to 1.
+///
+/// Source: Madigan and Raftery (1994), doi 10.1080/01621459.1994.10476894, Occam's window.
+const WINDOW: f64 = 3.0;
 /// Most rounds of the competition, and rounds under each of the labels that may be right.
 const ROUNDS: usize = 12;
 const LABEL_ROUNDS: usize = 2;
@@ -131,7 +135,10 @@ impl<'a> Competition<'a> {
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
         self.exchange_labels(progress)?;
-        let mut all: Vec<Vec<usize>> = self.fits.iter().map(|fit| channels(&fit.prediction).to_vec()).collect();
+        // Labels that do no better once everything within its tolerances has been recalibrated are no reason for the rest.
+        let least = self.log_posterior(&self.fits[0]);
+        let may_be_right = self.fits.iter().filter(|fit| self.log_posterior(fit) >= least);
+        let mut all: Vec<Vec<usize>> = may_be_right.map(|fit| channels(&fit.prediction).to_vec()).collect();
         all.sort_unstable();
         all.dedup();
         // What is expected of residuals is far off at first, and candidates by it: the labels that lead then need not be right.
@@ -159,8 +166,15 @@ impl<'a> Competition<'a> {
         let leading = self.leading(labels).model.effects.clone();
         let without = |i: usize| [&leading[..i], &leading[i + 1..]].concat();
         let keeps_labels = |i: &usize| !leading[*i].exchanges_labels();
-        // What is simpler first: it may do as well.
-        let open = (0..leading.len()).filter(keeps_labels).map(without).chain([leading.clone()]);
+        // What is simpler first: it may do as well. Then what is nearly as probable, which may lead elsewhere.
+        let highest = self.log_posterior(self.leading(labels));
+        let is_close = |fit: &&Fit<'a>| {
+            fit.model.is_named() && channels(&fit.prediction) == labels && self.log_posterior(fit) > highest - WINDOW
+        };
+        let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).collect();
+        close.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+        let close = close.into_iter().map(|fit| fit.model.effects.clone());
+        let open = (0..leading.len()).filter(keeps_labels).map(without).chain([leading.clone()]).chain(close);
         let is_open = |set: &Vec<Instance>| !self.expanded.iter().any(|e| is_same_set(e, set));
         let next = open.into_iter().find(is_open);
         let found = next.is_some();

@@ -106,10 +106,10 @@ impl<'a> Ground<'a> {
     }
 }
 
-/// Whether `other` could be taken for `own`: the catalogue knows them to be confused, or it is another place of the same.
+/// Whether `other` could be taken for `own`: the catalogue of either knows them to be confused, or it is another place of the same.
 fn is_rival(own: &Instance, other: &Instance) -> bool {
-    let confused = effects::find(own.kind).map_or(&[][..], |e| e.catalogue.confused_with);
-    own.kind == other.kind || confused.contains(&other.kind)
+    let has = |one: &Instance, kind| effects::find(one.kind).is_ok_and(|e| e.catalogue.confused_with.contains(&kind));
+    own.kind == other.kind || has(own, other.kind) || has(other, own.kind)
 }
 
 #[cfg(test)]
