@@ -22,12 +22,9 @@ pub(super) const ENTRY: Entry = Entry {
     },
 };
 
-/// Frequency up to which the response is one, in fundamental frequencies of the column: far below its first mode a column moves as its base
-/// does, whatever it is made of, and what a sensor then does to the motion has a name.
-const ONE_BELOW: f64 = 0.2;
-/// Frequencies between which the response is linear over ln f, in the same; it goes on beyond the last.
-const KNOTS: [f64; N_KNOT] = [0.5, 1.0, 2.0, 4.0, 8.0];
-const N_KNOT: usize = 5;
+/// Frequencies between which the response is linear over ln f, Hz; it goes on beyond the first and the last.
+const KNOTS_HZ: [f64; N_KNOT] = [0.2, 0.5, 1.25, 3.15, 8.0, 20.0];
+const N_KNOT: usize = 6;
 /// Largest ln of a factor, and largest phase, rad.
 const FARTHEST: [f64; 2] = [1.5, 3.0];
 
@@ -51,22 +48,19 @@ const PARAMETERS: &[Parameter] = &[
     parameter("ln_3", "", FARTHEST[0]),
     parameter("ln_4", "", FARTHEST[0]),
     parameter("ln_5", "", FARTHEST[0]),
+    parameter("ln_6", "", FARTHEST[0]),
     parameter("phase_1_rad", "rad", FARTHEST[1]),
     parameter("phase_2_rad", "rad", FARTHEST[1]),
     parameter("phase_3_rad", "rad", FARTHEST[1]),
     parameter("phase_4_rad", "rad", FARTHEST[1]),
     parameter("phase_5_rad", "rad", FARTHEST[1]),
+    parameter("phase_6_rad", "rad", FARTHEST[1]),
 ];
 
 /// One for each output sensor.
 fn instances(array: &Array) -> Vec<Instance> {
     let free: Vec<Free> = PARAMETERS.iter().map(|p| Free::new(p, 0.0)).collect();
-    let fundamental_hz = 0.25 / array.profile.travel_time_s();
-    let at = |sensor: &String| {
-        let target = [("sensor", sensor.as_str().into()), ("fundamental_hz", fundamental_hz.into())];
-        Instance::new(ENTRY.name, target, free.clone())
-    };
-    array.outputs.iter().map(at).collect()
+    array.one_each_output(ENTRY.name, &free)
 }
 
 /// Multiplies what a sensor records by a smooth complex factor.
@@ -75,12 +69,11 @@ fn instances(array: &Array) -> Vec<Instance> {
 /// Y(f) = X(f) exp(Σ (a_k + i φ_k) h_k(f))                               (1)
 /// ```
 ///
-/// h_k are hat functions over ln f with knots at ½, 1, 2, 4 and 8 f₁; below 0.2 f₁ they are nothing.
+/// h_k are hat functions over ln f with knots at 0.2, 0.5, 1.25, 3.15, 8 and 20 Hz.
 ///
 /// | symbol | field               | unit | range    |
 /// |--------|---------------------|------|----------|
-/// | f₁     | `fundamental_hz`    | Hz   | 0.01…50  |
-/// | a_k    | `ln_1` … `ln_5`     | –    | −1.5…1.5 |
+/// | a_k    | `ln_1` … `ln_6`     | –    | −1.5…1.5 |
 /// | φ_k    | `phase_1_rad` …     | rad  | −3…3     |
 ///
 /// What a diagnosis compares every named effect with: where the records ask for this one, what is missing has no name, and no
@@ -94,8 +87,6 @@ fn instances(array: &Array) -> Vec<Instance> {
 struct UnnamedResponse {
     /// Name of the sensor.
     sensor: String,
-    /// Fundamental frequency of the declared column, Hz.
-    fundamental_hz: f64,
     #[serde(default)]
     ln_1: f64,
     #[serde(default)]
@@ -107,6 +98,8 @@ struct UnnamedResponse {
     #[serde(default)]
     ln_5: f64,
     #[serde(default)]
+    ln_6: f64,
+    #[serde(default)]
     phase_1_rad: f64,
     #[serde(default)]
     phase_2_rad: f64,
@@ -116,15 +109,15 @@ struct UnnamedResponse {
     phase_4_rad: f64,
     #[serde(default)]
     phase_5_rad: f64,
+    #[serde(default)]
+    phase_6_rad: f64,
 }
 
 impl UnnamedResponse {
     fn checked(self) -> Result<Self> {
         let names = PARAMETERS.iter().map(|p| (p.name, p.low, p.high, p.unit));
         let values = self.knots().into_iter().flatten();
-        let mut checks: Vec<_> =
-            names.zip(values).map(|((name, low, high, unit), v)| (name, v, low, high, unit)).collect();
-        checks.push(("fundamental_hz", self.fundamental_hz, 0.01, 50.0, "Hz"));
+        let checks: Vec<_> = names.zip(values).map(|((name, low, high, unit), v)| (name, v, low, high, unit)).collect();
         super::ranges(&checks)?;
         Ok(self)
     }
@@ -132,8 +125,15 @@ impl UnnamedResponse {
     /// ln of the factor and phase at the knots.
     fn knots(&self) -> [[f64; N_KNOT]; 2] {
         [
-            [self.ln_1, self.ln_2, self.ln_3, self.ln_4, self.ln_5],
-            [self.phase_1_rad, self.phase_2_rad, self.phase_3_rad, self.phase_4_rad, self.phase_5_rad],
+            [self.ln_1, self.ln_2, self.ln_3, self.ln_4, self.ln_5, self.ln_6],
+            [
+                self.phase_1_rad,
+                self.phase_2_rad,
+                self.phase_3_rad,
+                self.phase_4_rad,
+                self.phase_5_rad,
+                self.phase_6_rad,
+            ],
         ]
     }
 }
@@ -148,15 +148,10 @@ impl Effect for UnnamedResponse {
         if place.sensor != self.sensor || knots == [[0.0; N_KNOT]; 2] {
             return None;
         }
-        let modes = frequency_hz / self.fundamental_hz;
-        let above = KNOTS.partition_point(|knot| *knot <= modes).min(N_KNOT - 1);
-        let from = if above == 0 { ONE_BELOW } else { KNOTS[above - 1] };
-        let share = ((modes.max(1e-9) / from).ln() / (KNOTS[above] / from).ln()).clamp(0.0, 1.0);
-        let between = |knots: [f64; N_KNOT]| {
-            let below = if above == 0 { 0.0 } else { knots[above - 1] };
-            below + share * (knots[above] - below)
-        };
-        let [ln, phase] = knots.map(between);
+        let above = KNOTS_HZ.partition_point(|f| *f <= frequency_hz).clamp(1, N_KNOT - 1);
+        let ends = [KNOTS_HZ[above - 1], KNOTS_HZ[above]];
+        let share = ((frequency_hz.max(1e-9) / ends[0]).ln() / (ends[1] / ends[0]).ln()).clamp(0.0, 1.0);
+        let [ln, phase] = knots.map(|k| k[above - 1] + share * (k[above] - k[above - 1]));
         Some(Operator::scalar(Complex::from_polar(ln.exp(), phase))) // (1)
     }
 }
@@ -167,22 +162,15 @@ mod tests {
 
     #[test]
     fn it_is_the_factor_and_the_phase_of_its_knots() {
-        let table = "sensor = 'top'\nfundamental_hz = 2.0\nln_2 = 0.4\nphase_3_rad = -0.6";
+        let table = "sensor = 'top'\nln_3 = 0.4\nphase_4_rad = -0.6";
         let effect = (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
         let place = Place { sensor: "top", components: &[] };
         let at = |f: f64| effect.response(&place, f).unwrap().0[0][0];
-        assert!((at(2.0) - Complex::from(0.4f64.exp())).norm() < 1e-12);
-        assert!((at(4.0) - Complex::from_polar(1.0, -0.6)).norm() < 1e-12);
-        let between = at((2.0f64 * 4.0).sqrt());
+        assert!((at(1.25) - Complex::from(0.4f64.exp())).norm() < 1e-12);
+        assert!((at(3.15) - Complex::from_polar(1.0, -0.6)).norm() < 1e-12);
+        let between = at((1.25f64 * 3.15).sqrt());
         assert!((between - Complex::from_polar(0.2f64.exp(), -0.3)).norm() < 1e-12);
-        assert!([0.0, 0.2, 0.4, 1.0, 8.0, 50.0].iter().all(|f| at(*f) == Complex::from(1.0)));
-        let table = "sensor = 'top'\nfundamental_hz = 2.0\nln_1 = 0.4\nphase_5_rad = -0.6";
-        let effect = (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
-        let at = |f: f64| effect.response(&place, f).unwrap().0[0][0];
-        assert!((at(0.4) - Complex::from(1.0)).norm() < 1e-12);
-        assert!((at((0.4f64 * 1.0).sqrt()) - Complex::from(0.2f64.exp())).norm() < 1e-12);
-        assert!((at(80.0) - Complex::from_polar(1.0, -0.6)).norm() < 1e-12);
-        assert!((ENTRY.build)("sensor = 'top'\nfundamental_hz = 2.0\nln_1 = 2.0".parse().expect("TOML")).is_err());
-        assert!((ENTRY.build)("sensor = 'top'\nln_1 = 0.2".parse().expect("TOML")).is_err());
+        assert!([0.0, 0.1, 20.0, 50.0].iter().all(|f| at(*f) == Complex::from(1.0)));
+        assert!((ENTRY.build)("sensor = 'top'\nln_1 = 2.0".parse().expect("TOML")).is_err());
     }
 }
