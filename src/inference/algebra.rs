@@ -23,7 +23,6 @@ pub fn ln_determinant(a: &Mat<f64>) -> Option<f64> {
 }
 
 /// gᵀ d − ½ dᵀ A d within bounds of d.
-#[derive(Clone)]
 pub struct Quadratic {
     /// A, symmetric positive definite.
     pub a: Mat<f64>,

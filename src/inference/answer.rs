@@ -58,7 +58,7 @@ pub fn diagnose(
     competition.run(progress)?;
     let mut most = BTreeMap::new();
     loop {
-        let answer = Answer { forward: &forward, competition: &competition, problem, most: most.clone() };
+        let answer = Answer { forward: &forward, competition: &competition, problem, most: &most };
         // What is known may be part of several models and no model by itself.
         if let Some(effects) = answer.unfitted() {
             competition.fit_part(&effects)?;
@@ -76,7 +76,7 @@ struct Answer<'c, 'a> {
     competition: &'c Competition<'a>,
     problem: &'c Problem,
     /// How often effects of a kind are named at most, where that is limited.
-    most: BTreeMap<&'static str, usize>,
+    most: &'c BTreeMap<&'static str, usize>,
 }
 
 impl<'a> Answer<'_, 'a> {
@@ -88,8 +88,7 @@ impl<'a> Answer<'_, 'a> {
         let is_missing = !best.model.effects.is_empty() && nothing < NOTHING;
         // What may be there besides, and may not, is not claimed: the median probability model.
         let known = known_kinds(&mass);
-        let is_sure = |fit: &Fit<'a>| !known.is_empty() && kinds(fit) == known;
-        let sure = if is_missing { self.competition.best_of(is_sure) } else { None };
+        let sure = self.sure(&known).filter(|_| is_missing);
         let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
         let unnamed = self.probabilities().filter(|(fit, _)| !fit.model.is_named()).map(|(_, p)| p).sum::<f64>();
@@ -138,6 +137,11 @@ impl<'a> Answer<'_, 'a> {
                 .collect(),
             rest: Some(rest),
         }
+    }
+
+    /// The most probable model whose named effects are of the `known` kinds and of no other, if any are known.
+    fn sure(&self, known: &[&'static str]) -> Option<&Fit<'a>> {
+        self.competition.best_of(|fit| !known.is_empty() && kinds(fit) == known)
     }
 
     /// Effects of the best model that has all known kinds, where no model has these alone.
@@ -208,7 +212,7 @@ impl<'a> Answer<'_, 'a> {
     fn masses(&self) -> BTreeMap<Vec<&'static str>, f64> {
         let mut mass: BTreeMap<Vec<&'static str>, f64> = BTreeMap::new();
         for (fit, p) in self.probabilities() {
-            *mass.entry(limited(kinds(fit), &self.most)).or_default() += p;
+            *mass.entry(limited(kinds(fit), self.most)).or_default() += p;
         }
         mass
     }
@@ -220,7 +224,7 @@ impl<'a> Answer<'_, 'a> {
     /// Source: Kent (1982), doi 10.1093/biomet/69.1.19, for likelihood ratios of models that are not quite right.
     fn doubtful(&self) -> Option<(&'static str, usize)> {
         let known = known_kinds(&self.masses());
-        let sure = self.competition.best_of(|fit| !known.is_empty() && kinds(fit) == known)?;
+        let sure = self.sure(&known)?;
         let named = sure.model.effects.iter().filter(|e| e.is_named());
         let mut all = named.zip(self.found(sure));
         let (instance, _) = all.find(|(instance, found)| holds_no_effect(instance, &found.parameters))?;

@@ -2,15 +2,16 @@
 //!
 //! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node
 //! is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a
-//! small linear problem ([`Competition::expand`]). The best of them are fitted with the column itself. The competition goes on around
-//! the best model, and around it less each of its effects, until that changes nothing. What the records say of the field and of the
-//! column's error is read off beside the best model, and all models are compared by that.
+//! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
+//! fitted with the column itself. The competition goes on around the best model, around it less each of its effects, and around what is
+//! nearly as probable, until that changes nothing. What the records say of the field and of the column's error is read off beside the model
+//! that leaves least, under each labelling of the channels, and the models under it are compared by that.
 
 mod proposals;
 mod scan;
 
 use super::few::Few;
-use super::forward::{Forward, Prediction, channels};
+use super::forward::{Forward, Prediction};
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Replays, Start, Stop, combined, square};
 use super::recalibration::recalibrated;
@@ -121,7 +122,7 @@ impl<'a> Competition<'a> {
 
     /// The most probable model of named effects under `labels`: the channels that the sensors are taken to be recorded on.
     fn leading(&self, labels: &[usize]) -> &Fit<'a> {
-        let is_meant = |fit: &Fit<'a>| fit.model.is_named() && channels(&fit.prediction) == labels;
+        let is_meant = |fit: &Fit<'a>| fit.model.is_named() && fit.labels() == labels;
         self.best_of(is_meant).unwrap_or(&self.fits[0])
     }
 
@@ -138,17 +139,17 @@ impl<'a> Competition<'a> {
         // Labels that do no better once everything within its tolerances has been recalibrated are no reason for the rest.
         let least = self.log_posterior(&self.fits[0]);
         let may_be_right = self.fits.iter().filter(|fit| self.log_posterior(fit) >= least);
-        let mut all: Vec<Vec<usize>> = may_be_right.map(|fit| channels(&fit.prediction).to_vec()).collect();
+        let mut all: Vec<Vec<usize>> = may_be_right.map(|fit| fit.labels().to_vec()).collect();
         all.sort_unstable();
         all.dedup();
         // What is expected of residuals is far off at first, and candidates by it: the labels that lead then need not be right.
-        for _ in (0..LABEL_ROUNDS).filter(|_| all.len() > 1) {
-            for labels in &all {
+        if all.len() > 1 {
+            for labels in std::iter::repeat_n(&all, LABEL_ROUNDS).flatten() {
                 self.round(labels, progress)?;
             }
         }
         for _ in 0..ROUNDS {
-            let labels = channels(&self.best_named().prediction).to_vec();
+            let labels = self.best_named().labels().to_vec();
             if !self.round(&labels, progress)? {
                 break;
             }
@@ -163,25 +164,22 @@ impl<'a> Competition<'a> {
         self.renew_parts(labels)?;
         // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
         // would explain.
-        let leading = self.leading(labels).model.effects.clone();
-        let without = |i: usize| [&leading[..i], &leading[i + 1..]].concat();
-        let keeps_labels = |i: &usize| !leading[*i].exchanges_labels();
-        // What is simpler first: it may do as well. Then what is nearly as probable, which may lead elsewhere.
-        let highest = self.log_posterior(self.leading(labels));
-        let is_close = |fit: &&Fit<'a>| {
-            fit.model.is_named() && channels(&fit.prediction) == labels && self.log_posterior(fit) > highest - WINDOW
-        };
+        let leading = self.leading(labels);
+        let effects = &leading.model.effects;
+        let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();
+        let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
+        let least = self.log_posterior(leading) - WINDOW;
+        let is_close =
+            |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && self.log_posterior(fit) > least;
         let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).collect();
         close.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
-        let close = close.into_iter().map(|fit| fit.model.effects.clone());
-        let open = (0..leading.len()).filter(keeps_labels).map(without).chain([leading.clone()]).chain(close);
+        // What is simpler first: it may do as well. Then the best, and what is nearly as probable, which may lead elsewhere.
+        let simpler = (0..effects.len()).filter(keeps_labels).map(without);
+        let mut open = simpler.chain(close.into_iter().map(|fit| fit.model.effects.clone()));
         let is_open = |set: &Vec<Instance>| !self.expanded.iter().any(|e| is_same_set(e, set));
-        let next = open.into_iter().find(is_open);
-        let found = next.is_some();
-        if let Some(next) = next {
-            self.expand(next, labels, progress)?;
-        }
-        Ok(found)
+        let Some(next) = open.find(is_open) else { return Ok(false) };
+        self.expand(next, labels, progress)?;
+        Ok(true)
     }
 
     /// Recalibrates the declared model under every exchange of labels that does better than none where nothing is recalibrated: what was
@@ -211,7 +209,7 @@ impl<'a> Competition<'a> {
     /// Fits to the end whatever counts for the answer.
     fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
         for _ in 0..SETTLINGS {
-            let labels = channels(&self.best().prediction).to_vec();
+            let labels = self.best().labels().to_vec();
             self.renew_anchor(&labels, Stop::EXACT)?;
             self.renew_parts(&labels)?;
             let leading = self.best().model.effects.clone();
@@ -234,7 +232,7 @@ impl<'a> Competition<'a> {
     /// is left of it.
     fn renew_anchor(&mut self, labels: &[usize], stop: Stop) -> Result<()> {
         for _ in 0..ANCHORS {
-            let best = self.best_of(|fit| channels(&fit.prediction) == labels).unwrap_or(&self.fits[0]).clone();
+            let best = self.best_of(|fit| fit.labels() == labels).unwrap_or(&self.fits[0]).clone();
             self.fitter.forward.anchor(&best.model.tables(&best.x))?;
             let old = std::mem::take(&mut self.fits);
             let evaluated = |fit: Fit<'a>| self.fitter.fit(Start::from(fit), Stop::WHERE_IT_IS);
@@ -260,7 +258,7 @@ impl<'a> Competition<'a> {
     /// Reads off what is expected of residuals under `labels`, and fits again whatever is close, if that has changed. What the column has
     /// wrong and what strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
     fn renew_spread(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
-        let own = self.fits.iter().filter(|f| channels(&f.prediction) == labels);
+        let own = self.fits.iter().filter(|f| f.labels() == labels);
         let supported = own.map(|f| (f, Self::supported(self.fitter.forward, f)));
         let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));
         let Some((best, (Expected { spread: found, .. }, _))) = least.map(|(f, s)| (f.clone(), s)) else {
@@ -278,7 +276,7 @@ impl<'a> Competition<'a> {
         let reference = self.fitter.predict(&best.model, &best.x)?;
         self.fitter = self.fitter.expecting(Expected { spread: found, reference });
         let own = best.model.effects;
-        let is_own = |fit: &Fit<'a>| channels(&fit.prediction) == labels;
+        let is_own = |fit: &Fit<'a>| fit.labels() == labels;
         let old = std::mem::take(&mut self.fits);
         let cost = |fit: &Fit<'a>| self.fitter.nll(&fit.prediction) + Fitter::prior(&fit.model, &fit.x);
         let costs: Vec<f64> = old.iter().map(cost).collect();
@@ -365,7 +363,7 @@ impl<'a> Competition<'a> {
             }
         }
         // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
-        let alike = heats.into_iter().filter(|h| channels(&h.prediction) == channels(&base.prediction));
+        let alike = heats.into_iter().filter(|h| h.labels() == base.labels());
         let least = alike.map(|h| (Self::supported(by.forward, &h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
         if let Some((_, heat)) = least
             && is_new(&finals, &heat)
@@ -451,12 +449,11 @@ impl<'a> Competition<'a> {
 
     /// Where a fit with `effects` starts: where the most probable model of named effects is that has all of them.
     fn part(&self, effects: &[Instance]) -> Start<'a> {
-        let has = |fit: &Fit<'a>, effect: &Instance| fit.model.effects.iter().any(|e| e.is_one(effect));
-        let has_all = |fit: &Fit<'a>| fit.model.is_named() && effects.iter().all(|effect| has(fit, effect));
+        let has_all = |fit: &Fit<'a>| fit.model.is_named() && effects.iter().all(|e| fit.model.index_of(e).is_some());
         let best = self.best_of(has_all).unwrap_or(&self.fits[0]);
         let mut x = best.x[..best.model.declared.len()].to_vec();
         for effect in effects {
-            let own = best.model.effects.iter().position(|e| e.is_one(effect)).map(|i| best.model.coordinates_of(i));
+            let own = best.model.index_of(effect).map(|i| best.model.coordinates_of(i));
             x.extend(own.map_or_else(|| effect.start(), |own| best.x[own].to_vec()));
         }
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
@@ -466,8 +463,7 @@ impl<'a> Competition<'a> {
 
     /// Slopes of `fit` by the coordinates of another model, as far as the two share them.
     fn slopes_of(fit: &Fit<'a>, model: &Model<'a>) -> Vec<Option<Arc<Rows>>> {
-        let own = |effect: &Instance| fit.model.effects.iter().position(|e| e.is_one(effect));
-        let of_effect = |effect: &Instance| match own(effect) {
+        let of_effect = |effect: &Instance| match fit.model.index_of(effect) {
             Some(index) => fit.model.coordinates_of(index).map(|i| Some(fit.slopes[i].clone())).collect(),
             None => vec![None; effect.free.len()],
         };

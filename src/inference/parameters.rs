@@ -298,6 +298,11 @@ impl<'a> Model<'a> {
         start..start + self.effects[index].free.len()
     }
 
+    /// Index of the effect that is `instance`, if it is there.
+    pub fn index_of(&self, instance: &Instance) -> Option<usize> {
+        self.effects.iter().position(|e| e.is_one(instance))
+    }
+
     /// Whether every effect has a name.
     pub fn is_named(&self) -> bool {
         self.effects.iter().all(Instance::is_named)

@@ -218,7 +218,7 @@ impl<'a> Fitter<'a> {
     /// As [`Fitter::fit`].
     pub fn fit_from_afar(&self, mut start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
         let [_, high_hz] = band_hz(self.forward);
-        let mut below = self.of_lowest_modes();
+        let mut below = self.below(FIRST_MODES * 0.25 / self.forward.problem.array.profile.travel_time_s());
         while below.high_hz < high_hz {
             start = match below.leap(&start) {
                 Some(there) => there,
@@ -230,19 +230,15 @@ impl<'a> Fitter<'a> {
         self.fit(there.unwrap_or(start), stop)
     }
 
-    /// The same with motions from the equivalent-linear column near `model` at `x` instead of replays.
-    ///
-    /// # Errors
-    /// When an effect or the column cannot be built or replayed.
-    pub fn by_surrogate(&self, model: &Model<'a>, x: &[f64]) -> Result<Self> {
-        let near = Neighbourhood::new(self.forward, &model.tables(x))?;
-        Ok(Self { surrogate: Some(Arc::new(near)), ..self.below(self.high_hz) })
+    /// The same with motions from the equivalent-linear column near `model` at `x` instead of replays, where there is one.
+    pub fn by_surrogate(&self, model: &Model<'a>, x: &[f64]) -> Option<Self> {
+        Some(Self { surrogate: Some(Arc::new(self.near(model, x)?)), ..self.below(self.high_hz) })
     }
 
     /// Where a fit to the equivalent-linear column beside `start` ends, if a replay there gains what that foretold.
     fn leap(&self, start: &Start<'a>) -> Option<Start<'a>> {
         let Start { model, x, .. } = start;
-        let by = self.by_surrogate(model, x).ok()?;
+        let by = self.by_surrogate(model, x)?;
         let at = by.point(model, x.clone()).ok()?;
         let strengths = |e: usize| {
             let free = model.effects[e].free.iter().enumerate().filter(|(_, free)| free.zero.is_some());
@@ -260,11 +256,6 @@ impl<'a> Fitter<'a> {
         }
         let gained = cost - self.cost_at(model, found.x.clone()).ok()?;
         is_borne_out(gained, foretold).then(|| Start::at(model.clone(), found.x))
-    }
-
-    /// One for which residuals up to the lowest mode of the column count alone.
-    pub fn of_lowest_modes(&self) -> Self {
-        self.below(FIRST_MODES * 0.25 / self.forward.problem.array.profile.travel_time_s())
     }
 
     fn below(&self, high_hz: f64) -> Self {
@@ -301,6 +292,11 @@ impl<'a> Fitter<'a> {
 }
 
 impl Fit<'_> {
+    /// The channels that its sensors are taken to be recorded on.
+    pub fn labels(&self) -> &[usize] {
+        channels(&self.prediction)
+    }
+
     /// Whether declared values are as far off as their tolerances allow: they stand in for an effect.
     pub fn is_strained(&self) -> bool {
         (0..self.x.len()).any(|i| self.model.is_strained(&self.x, i))

@@ -130,7 +130,7 @@ impl<'a> Competition<'a> {
             return Vec::new();
         }
         let lacking: Vec<Instance> =
-            self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i))).cloned().collect();
+            self.instances.iter().filter(|i| base.model.index_of(i).is_none()).cloned().collect();
         let is_smooth = |i: &Instance| i.zero().is_some() && i.hidden() == 0;
         let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
         let smooth = on_threads(smooth.len(), |i| Self::at_delay(by, base, smooth[i].clone()));

@@ -23,13 +23,13 @@ impl<'a> Competition<'a> {
     /// First fits of the most promising candidates beside the effects of `base`.
     pub(super) fn strong(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
         let Some(ground) = Ground::of(by, base, None) else { return Vec::new() };
-        let open = self.instances.iter().filter(|i| !base.model.effects.iter().any(|e| e.is_one(i)));
+        let open = self.instances.iter().filter(|i| base.model.index_of(i).is_none());
         let found = self.scanned(&ground, open);
-        let own = |fit: &Fit<'a>| fit.model.effects.last().cloned().into_iter().collect::<Vec<_>>();
         // Which of the places of a form it is that column does not tell well enough.
-        let best = distinct(found.iter().collect(), |fit| own(fit));
-        let is_alike = |fit: &&Fit<'a>| best.iter().any(|b| own(b).iter().zip(&own(fit)).all(|(b, e)| b.is_alike(e)));
-        Self::replayed(by, &found.iter().filter(is_alike).cloned().collect::<Vec<_>>())
+        let own: Vec<&Instance> = found.iter().filter_map(|fit| fit.model.effects.last()).collect();
+        let best = distinct(own, |instance| vec![(*instance).clone()]);
+        let is_alike = |fit: &&Fit<'a>| fit.model.effects.last().is_some_and(|e| best.iter().any(|b| b.is_alike(e)));
+        Self::replayed(by, &found.iter().filter(is_alike).collect::<Vec<_>>())
     }
 
     /// First fits of what could be taken for each of the effects of `base`, in its place.
@@ -37,12 +37,14 @@ impl<'a> Competition<'a> {
         let of = |index: usize| -> Vec<Fit<'a>> {
             let own = &base.model.effects[index];
             let Some(ground) = own.zero().and_then(|_| Ground::of(by, base, Some(index))) else { return Vec::new() };
-            let Some(there) = ground.fitted(own) else { return Vec::new() };
+            let Some(there) = ground.best_of_ladder(own).and_then(|(at, _)| ground.fitted(own, at)) else {
+                return Vec::new();
+            };
             let highest = self.log_posterior(&there);
-            let is_meant = |i: &&Instance| is_rival(own, i) && !base.model.effects.iter().any(|e| e.is_one(i));
+            let is_meant = |i: &&Instance| is_rival(own, i) && base.model.index_of(i).is_none();
             let found = self.scanned(&ground, self.instances.iter().filter(is_meant));
-            let is_close = |fit: &Fit<'a>| least_borne_out(highest - self.log_posterior(fit)) < FAR;
-            Self::replayed(by, &found.into_iter().filter(is_close).collect::<Vec<_>>())
+            let is_close = |fit: &&Fit<'a>| least_borne_out(highest - self.log_posterior(fit)) < FAR;
+            Self::replayed(by, &found.iter().filter(is_close).collect::<Vec<_>>())
         };
         (0..base.model.effects.len()).flat_map(of).collect()
     }
@@ -50,19 +52,20 @@ impl<'a> Competition<'a> {
     /// Fits of the most promising `candidates` to the equivalent-linear column, best first.
     fn scanned<'i>(&self, ground: &Ground<'a>, candidates: impl Iterator<Item = &'i Instance>) -> Vec<Fit<'a>> {
         let smooth: Vec<&Instance> = candidates.filter(|i| i.zero().is_some() && i.hidden() == 0).collect();
-        let tried = |i: usize| Some((ground.best_of_ladder(smooth[i])?.1, smooth[i]));
-        let mut all: Vec<(f64, &Instance)> = on_threads(smooth.len(), tried).into_iter().flatten().collect();
-        all.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let tried = |i: usize| Some((smooth[i], ground.best_of_ladder(smooth[i])?));
+        let mut all: Vec<_> = on_threads(smooth.len(), tried).into_iter().flatten().collect();
+        all.sort_by(|(_, (_, a)), (_, (_, b))| a.total_cmp(b));
         let mut places: BTreeMap<String, usize> = BTreeMap::new();
-        all.retain(|(_, instance)| is_among_best(&mut places, instance));
+        all.retain(|(instance, _)| is_among_best(&mut places, instance));
         all.truncate(SHORTLIST);
-        let mut fits: Vec<Fit<'a>> = on_threads(all.len(), |i| ground.fitted(all[i].1)).into_iter().flatten().collect();
+        let fitted = |i: usize| ground.fitted(all[i].0, all[i].1.0.clone());
+        let mut fits: Vec<Fit<'a>> = on_threads(all.len(), fitted).into_iter().flatten().collect();
         fits.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
         fits
     }
 
     /// Fits to the column itself from where those of the equivalent-linear one ended.
-    fn replayed(by: &Fitter<'a>, found: &[Fit<'a>]) -> Vec<Fit<'a>> {
+    fn replayed(by: &Fitter<'a>, found: &[&Fit<'a>]) -> Vec<Fit<'a>> {
         let fitted = |i: usize| by.fit(Start::at(found[i].model.clone(), found[i].x.clone()), FAR_HEAT).ok();
         on_threads(found.len(), fitted).into_iter().flatten().collect()
     }
@@ -78,7 +81,7 @@ impl<'a> Ground<'a> {
             model.effects.remove(index);
         }
         x[..model.declared.len()].fill(0.0);
-        Some(Self { by: by.by_surrogate(&model, &x).ok()?, model, x })
+        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
     }
 
     fn with(&self, instance: &Instance, at: Vec<f64>) -> (Model<'a>, Vec<f64>) {
@@ -99,9 +102,9 @@ impl<'a> Ground<'a> {
         all.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The fit of `instance` from there.
-    fn fitted(&self, instance: &Instance) -> Option<Fit<'a>> {
-        let (model, x) = self.with(instance, self.best_of_ladder(instance)?.0);
+    /// The fit of `instance` from `at`.
+    fn fitted(&self, instance: &Instance, at: Vec<f64>) -> Option<Fit<'a>> {
+        let (model, x) = self.with(instance, at);
         self.by.fit(Start::at(model, x), Stop::ON_THE_WAY).ok()
     }
 }
