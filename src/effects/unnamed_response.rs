@@ -22,9 +22,9 @@ pub(super) const ENTRY: Entry = Entry {
     },
 };
 
-/// Frequencies between which the response is linear over ln f, Hz; it goes on beyond the first and the last.
-const KNOTS_HZ: [f64; N_KNOT] = [0.2, 0.5, 1.25, 3.15, 8.0, 20.0];
-const N_KNOT: usize = 6;
+/// Frequencies between which the response is linear over ln f, in fundamental frequencies of the column; it goes on beyond the last.
+const KNOTS: [f64; N_KNOT] = [0.5, 1.0, 2.0, 4.0, 8.0];
+const N_KNOT: usize = 5;
 /// Largest ln of a factor, and largest phase, rad.
 const FARTHEST: [f64; 2] = [1.5, 3.0];
 
@@ -48,19 +48,22 @@ const PARAMETERS: &[Parameter] = &[
     parameter("ln_3", "", FARTHEST[0]),
     parameter("ln_4", "", FARTHEST[0]),
     parameter("ln_5", "", FARTHEST[0]),
-    parameter("ln_6", "", FARTHEST[0]),
     parameter("phase_1_rad", "rad", FARTHEST[1]),
     parameter("phase_2_rad", "rad", FARTHEST[1]),
     parameter("phase_3_rad", "rad", FARTHEST[1]),
     parameter("phase_4_rad", "rad", FARTHEST[1]),
     parameter("phase_5_rad", "rad", FARTHEST[1]),
-    parameter("phase_6_rad", "rad", FARTHEST[1]),
 ];
 
 /// One for each output sensor.
 fn instances(array: &Array) -> Vec<Instance> {
     let free: Vec<Free> = PARAMETERS.iter().map(|p| Free::new(p, 0.0)).collect();
-    array.one_each_output(ENTRY.name, &free)
+    let fundamental_hz = 0.25 / array.profile.travel_time_s();
+    let at = |sensor: &String| {
+        let target = [("sensor", sensor.as_str().into()), ("fundamental_hz", fundamental_hz.into())];
+        Instance::new(ENTRY.name, target, free.clone())
+    };
+    array.outputs.iter().map(at).collect()
 }
 
 /// Multiplies what a sensor records by a smooth complex factor.
@@ -69,11 +72,13 @@ fn instances(array: &Array) -> Vec<Instance> {
 /// Y(f) = X(f) exp(Σ (a_k + i φ_k) h_k(f))                               (1)
 /// ```
 ///
-/// h_k are hat functions over ln f with knots at 0.2, 0.5, 1.25, 3.15, 8 and 20 Hz.
+/// h_k are hat functions over ln f with knots at ½, 1, 2, 4 and 8 f₁; below the first knot h₁ goes with f²: shaken slowly, soil strays from
+/// its base by what its acceleration strains it, whatever it is made of, and what a sensor then does to the motion has a name.
 ///
 /// | symbol | field               | unit | range    |
 /// |--------|---------------------|------|----------|
-/// | a_k    | `ln_1` … `ln_6`     | –    | −1.5…1.5 |
+/// | f₁     | `fundamental_hz`    | Hz   | 0.01…50  |
+/// | a_k    | `ln_1` … `ln_5`     | –    | −1.5…1.5 |
 /// | φ_k    | `phase_1_rad` …     | rad  | −3…3     |
 ///
 /// What a diagnosis compares every named effect with: where the records ask for this one, what is missing has no name, and no
@@ -87,6 +92,8 @@ fn instances(array: &Array) -> Vec<Instance> {
 struct UnnamedResponse {
     /// Name of the sensor.
     sensor: String,
+    /// Fundamental frequency of the declared column, Hz.
+    fundamental_hz: f64,
     #[serde(default)]
     ln_1: f64,
     #[serde(default)]
@@ -98,8 +105,6 @@ struct UnnamedResponse {
     #[serde(default)]
     ln_5: f64,
     #[serde(default)]
-    ln_6: f64,
-    #[serde(default)]
     phase_1_rad: f64,
     #[serde(default)]
     phase_2_rad: f64,
@@ -109,15 +114,15 @@ struct UnnamedResponse {
     phase_4_rad: f64,
     #[serde(default)]
     phase_5_rad: f64,
-    #[serde(default)]
-    phase_6_rad: f64,
 }
 
 impl UnnamedResponse {
     fn checked(self) -> Result<Self> {
         let names = PARAMETERS.iter().map(|p| (p.name, p.low, p.high, p.unit));
         let values = self.knots().into_iter().flatten();
-        let checks: Vec<_> = names.zip(values).map(|((name, low, high, unit), v)| (name, v, low, high, unit)).collect();
+        let mut checks: Vec<_> =
+            names.zip(values).map(|((name, low, high, unit), v)| (name, v, low, high, unit)).collect();
+        checks.push(("fundamental_hz", self.fundamental_hz, 0.01, 50.0, "Hz"));
         super::ranges(&checks)?;
         Ok(self)
     }
@@ -125,15 +130,8 @@ impl UnnamedResponse {
     /// ln of the factor and phase at the knots.
     fn knots(&self) -> [[f64; N_KNOT]; 2] {
         [
-            [self.ln_1, self.ln_2, self.ln_3, self.ln_4, self.ln_5, self.ln_6],
-            [
-                self.phase_1_rad,
-                self.phase_2_rad,
-                self.phase_3_rad,
-                self.phase_4_rad,
-                self.phase_5_rad,
-                self.phase_6_rad,
-            ],
+            [self.ln_1, self.ln_2, self.ln_3, self.ln_4, self.ln_5],
+            [self.phase_1_rad, self.phase_2_rad, self.phase_3_rad, self.phase_4_rad, self.phase_5_rad],
         ]
     }
 }
@@ -148,10 +146,16 @@ impl Effect for UnnamedResponse {
         if place.sensor != self.sensor || knots == [[0.0; N_KNOT]; 2] {
             return None;
         }
-        let above = KNOTS_HZ.partition_point(|f| *f <= frequency_hz).clamp(1, N_KNOT - 1);
-        let ends = [KNOTS_HZ[above - 1], KNOTS_HZ[above]];
-        let share = ((frequency_hz.max(1e-9) / ends[0]).ln() / (ends[1] / ends[0]).ln()).clamp(0.0, 1.0);
-        let [ln, phase] = knots.map(|k| k[above - 1] + share * (k[above] - k[above - 1]));
+        let modes = frequency_hz / self.fundamental_hz;
+        let above = KNOTS.partition_point(|knot| *knot <= modes).min(N_KNOT - 1);
+        let between = |knots: [f64; N_KNOT]| {
+            if above == 0 {
+                return knots[0] * (modes / KNOTS[0]).powi(2);
+            }
+            let share = (modes / KNOTS[above - 1]).ln() / (KNOTS[above] / KNOTS[above - 1]).ln();
+            knots[above - 1] + share.min(1.0) * (knots[above] - knots[above - 1])
+        };
+        let [ln, phase] = knots.map(between);
         Some(Operator::scalar(Complex::from_polar(ln.exp(), phase))) // (1)
     }
 }
@@ -162,15 +166,22 @@ mod tests {
 
     #[test]
     fn it_is_the_factor_and_the_phase_of_its_knots() {
-        let table = "sensor = 'top'\nln_3 = 0.4\nphase_4_rad = -0.6";
+        let table = "sensor = 'top'\nfundamental_hz = 2.0\nln_2 = 0.4\nphase_3_rad = -0.6";
         let effect = (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
         let place = Place { sensor: "top", components: &[] };
         let at = |f: f64| effect.response(&place, f).unwrap().0[0][0];
-        assert!((at(1.25) - Complex::from(0.4f64.exp())).norm() < 1e-12);
-        assert!((at(3.15) - Complex::from_polar(1.0, -0.6)).norm() < 1e-12);
-        let between = at((1.25f64 * 3.15).sqrt());
+        assert!((at(2.0) - Complex::from(0.4f64.exp())).norm() < 1e-12);
+        assert!((at(4.0) - Complex::from_polar(1.0, -0.6)).norm() < 1e-12);
+        let between = at((2.0f64 * 4.0).sqrt());
         assert!((between - Complex::from_polar(0.2f64.exp(), -0.3)).norm() < 1e-12);
-        assert!([0.0, 0.1, 20.0, 50.0].iter().all(|f| at(*f) == Complex::from(1.0)));
-        assert!((ENTRY.build)("sensor = 'top'\nln_1 = 2.0".parse().expect("TOML")).is_err());
+        assert!([0.0, 0.2, 1.0, 8.0, 50.0].iter().all(|f| at(*f) == Complex::from(1.0)));
+        let table = "sensor = 'top'\nfundamental_hz = 2.0\nln_1 = 0.4\nphase_5_rad = -0.6";
+        let effect = (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
+        let at = |f: f64| effect.response(&place, f).unwrap().0[0][0];
+        assert!((at(0.5) - Complex::from(0.1f64.exp())).norm() < 1e-12);
+        assert_eq!(at(0.0), Complex::from(1.0));
+        assert!((at(80.0) - Complex::from_polar(1.0, -0.6)).norm() < 1e-12);
+        assert!((ENTRY.build)("sensor = 'top'\nfundamental_hz = 2.0\nln_1 = 2.0".parse().expect("TOML")).is_err());
+        assert!((ENTRY.build)("sensor = 'top'\nln_1 = 0.2".parse().expect("TOML")).is_err());
     }
 }

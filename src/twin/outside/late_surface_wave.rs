@@ -66,7 +66,7 @@ impl LateSurfaceWave {
 }
 
 impl Outside for LateSurfaceWave {
-    fn add(&self, recording: &Recording<'_>, seed: u64, motions: &mut [Channels]) -> Result<()> {
+    fn add(&self, recording: &Recording<'_>, _: f64, seed: u64, motions: &mut [Channels]) -> Result<()> {
         let train = |own: &[f64], depth_m: f64| {
             let shaped = |f: f64| {
                 let band = (-0.5 * ((f - self.frequency_hz) / (0.35 * self.frequency_hz)).powi(2)).exp();

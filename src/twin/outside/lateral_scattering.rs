@@ -20,9 +20,11 @@ pub(super) const ENTRY: Entry<dyn Outside> = Entry {
 /// Multiplies the spectrum of each output sensor by a smooth random complex function.
 ///
 /// ```text
-/// Y(f) = X(f) exp(a(f) + i b(f)),   a, b linear between random knots 0.9 Hz apart      (1)
+/// Y(f) = X(f) exp(r(f) (a(f) + i b(f))),   a, b linear between random knots 0.9 Hz apart      (1)
 /// ```
 ///
+/// r = (f / f₁)² below the fundamental frequency f₁ and 1 from there on: soil that is shaken slowly strays from its base by what its
+/// acceleration strains it.
 /// A share `repeatable` of the variance of a and b is common to all events and both components.
 #[derive(Debug, Clone, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -55,7 +57,7 @@ impl LateralScattering {
         Ok(self)
     }
 
-    /// Knots of a + ib for one sensor in one event and component.
+    /// Knots of a + ib from 0 Hz on for one sensor in one event and component.
     fn knots(&self, seed: u64, sensor: &str, event: &str, component: &str) -> Vec<Complex<f64>> {
         let draws = |label: String| {
             let mut stream = random::stream(seed, &label);
@@ -74,14 +76,15 @@ impl LateralScattering {
 }
 
 impl Outside for LateralScattering {
-    fn add(&self, recording: &Recording<'_>, seed: u64, motions: &mut [Channels]) -> Result<()> {
+    fn add(&self, recording: &Recording<'_>, fundamental_hz: f64, seed: u64, motions: &mut [Channels]) -> Result<()> {
         for (sensor, channels) in recording.sensors.iter().zip(motions).skip(1) {
             for (component, history) in recording.components.iter().zip(channels) {
                 let knots = self.knots(seed, sensor, recording.event, component);
                 let factor = |f: f64| {
                     let x = (f / KNOT_HZ).min((KNOTS - 1) as f64 - 1e-9);
                     let i = x as usize;
-                    (knots[i] + (knots[i + 1] - knots[i]) * (x - i as f64)).exp()
+                    let share = (f / fundamental_hz).powi(2).min(1.0);
+                    (share * (knots[i] + (knots[i + 1] - knots[i]) * (x - i as f64))).exp()
                 };
                 [*history] = spectrum::respond([history], recording.dt_s, |f, [v]| [v * factor(f)]); // (1)
             }

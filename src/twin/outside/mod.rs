@@ -10,11 +10,11 @@ use crate::registry::{self, Entry};
 
 /// Something outside the catalogue of effects.
 pub trait Outside: Send + Sync {
-    /// Adds it to the true motions (`[sensor][component][step]`, the input sensor first).
+    /// Adds it to the true motions (`[sensor][component][step]`, the input sensor first) of a site with this fundamental frequency.
     ///
     /// # Errors
     /// When a motion it needs cannot be made.
-    fn add(&self, recording: &Recording<'_>, seed: u64, motions: &mut [Channels]) -> Result<()>;
+    fn add(&self, recording: &Recording<'_>, fundamental_hz: f64, seed: u64, motions: &mut [Channels]) -> Result<()>;
 
     /// Whether part of it is the same in all events, so that it remains as something without a name; the rest of it is incoherent.
     fn repeats(&self) -> bool {
@@ -91,9 +91,9 @@ mod tests {
         let history: Vec<f64> = (0..1500).map(pulse).collect();
         let before = vec![vec![history; 2]; 3];
         let mut after = before.clone();
-        extra[0].add(&recording, 7, &mut after).unwrap();
+        extra[0].add(&recording, 2.0, 7, &mut after).unwrap();
         let mut again = before.clone();
-        extra[0].add(&recording, 7, &mut again).unwrap();
+        extra[0].add(&recording, 2.0, 7, &mut again).unwrap();
         assert_eq!(after, again);
         (before, after)
     }

@@ -35,7 +35,7 @@ impl SecondInput {
 }
 
 impl Outside for SecondInput {
-    fn add(&self, recording: &Recording<'_>, seed: u64, motions: &mut [Channels]) -> Result<()> {
+    fn add(&self, recording: &Recording<'_>, _: f64, seed: u64, motions: &mut [Channels]) -> Result<()> {
         for (c, component) in recording.components.iter().enumerate() {
             let n = motions[0][c].len();
             let own = own_motion(recording, seed, &format!("second input {component}"), n, [0.3, 9.0]);
