@@ -6,6 +6,8 @@ use crate::metrics::{normal_probability, t_quantile};
 
 /// Two-sided 95 % quantile of a normal number.
 pub const NORMAL: f64 = 1.96;
+/// Probability on either side of a 95 % interval.
+const TAIL: f64 = 0.025;
 /// Halvings of what holds a quantile.
 const BISECTIONS: usize = 60;
 
@@ -20,7 +22,7 @@ pub struct Member<'c, 'a> {
 }
 
 /// 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`. What else may hold widens them: every member that has
-/// that effect, here or elsewhere, counts by its probability.
+/// that effect counts by its probability, here, and elsewhere in the soil; what another sensor does is a number of its own.
 ///
 /// ```text
 /// Σ p_m Φ((q − x_m)/s_m) = 0.025 and 0.975, Σ p_m = 1                     (1)
@@ -29,22 +31,32 @@ pub struct Member<'c, 'a> {
 /// Source: (1) Hoeting et al. (1999), doi 10.1214/ss/1009212519, distribution of an average over models, normal in each.
 pub fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<[f64; 2]> {
     let own = &fit.model.effects[index];
-    let alike = |effects: &[Instance]| {
-        let here = effects.iter().position(|e| e.is_one(own));
-        here.or_else(|| effects.iter().position(|e| e.is_alike(own)))
-    };
-    let starts = |m: &Member<'_, '_>| Some(m.fit.model.start(alike(&m.fit.model.effects)?));
-    let found: Vec<(&Member<'_, '_>, usize)> = members.iter().filter_map(|m| Some((m, starts(m)?))).collect();
     let of = |k: usize| {
-        let parts = found.iter().map(|(m, start)| Normal {
-            weight: m.odds,
-            mean: m.fit.x[start + k],
-            deviation: m.half_widths[start + k] / NORMAL,
-        });
-        let mixture: Vec<Normal> = parts.collect();
-        [0.025, 0.975].map(|p| quantile(&mixture, p))
+        let mixture = mixture(own, k, members, own.class().moves_column());
+        [TAIL, 1.0 - TAIL].map(|p| quantile(&mixture, p))
     };
     (0..own.free.len()).map(of).collect()
+}
+
+/// Whether effect `index` of `fit`, wherever `members` have it, may be none: the 95 % interval of each of its strengths holds nothing, on
+/// whichever side of that a member has it.
+pub fn may_be_none(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> bool {
+    let own = &fit.model.effects[index];
+    let mut strengths =
+        own.zero().into_iter().flatten().enumerate().filter(|(k, _)| own.free[*k].zero.is_some()).peekable();
+    strengths.peek().is_some() && strengths.all(|(k, zero)| holds(&mixture(own, k, members, true), zero))
+}
+
+/// What `members` say of coordinate `k` of the effect `own`, where they have it, and with `elsewhere` where they have it at another place.
+fn mixture(own: &Instance, k: usize, members: &[Member<'_, '_>], elsewhere: bool) -> Vec<Normal> {
+    let of = |m: &Member<'_, '_>| {
+        let effects = &m.fit.model.effects;
+        let here = effects.iter().position(|e| e.is_one(own));
+        let index = here.or_else(|| effects.iter().position(|e| elsewhere && e.is_alike(own)))?;
+        let at = m.fit.model.start(index) + k;
+        Some(Normal { weight: m.odds, mean: m.fit.x[at], deviation: m.half_widths[at] / NORMAL })
+    };
+    members.iter().filter_map(of).collect()
 }
 
 /// A normal distribution with a weight.
@@ -52,6 +64,13 @@ struct Normal {
     weight: f64,
     mean: f64,
     deviation: f64,
+}
+
+/// Whether 95 % intervals about the means of a mixture hold `value`, all of them together.
+fn holds(mixture: &[Normal], value: f64) -> bool {
+    let total: f64 = mixture.iter().map(|n| n.weight).sum();
+    let beyond = |n: &Normal| n.weight * normal_probability(-(n.mean - value).abs() / n.deviation);
+    mixture.iter().map(beyond).sum::<f64>() > TAIL * total
 }
 
 /// Quantile of a mixture.
@@ -108,5 +127,10 @@ mod tests {
         assert!((quantile(&two, 0.025) - (-1.0 - 0.01 * 0.674_490)).abs() < 1e-6);
         assert!((quantile(&two, 0.975) - (1.0 + 0.01 * 1.914_506)).abs() < 1e-4, "{}", quantile(&two, 0.975));
         assert_eq!(quantile(&[normal(1.0, 0.0, f64::INFINITY)], 0.975), f64::INFINITY);
+        // At one of two places, with either sign: neither holds nothing.
+        assert!(!holds(&[normal(0.5, 0.2, 0.03), normal(0.5, -0.2, 0.03)], 0.0));
+        assert!(holds(&[normal(0.9, 0.2, 0.03), normal(0.1, -0.2, 0.3)], 0.0));
+        assert!(holds(&[normal(1.0, 0.2, 0.11)], 0.0) && !holds(&[normal(1.0, 0.2, 0.1)], 0.0));
+        assert!(holds(&[normal(1.0, 0.2, f64::INFINITY)], 0.0));
     }
 }
