@@ -7,7 +7,7 @@ use realfft::num_complex::Complex;
 type C64 = Complex<f64>;
 
 /// Knots of the coherence, between the ends of the frequency band at equal ratios.
-const KNOTS: usize = 7;
+pub const KNOTS: usize = 7;
 /// Fewest independent bins of a band that tell of its coherence.
 const LEAST_INDEPENDENT: f64 = 2.0;
 /// How far below one a squared coherence is expected at most: the deviation of a half-normal prior.
@@ -134,7 +134,7 @@ pub fn coherence_at_knots(moments: &[Moments], ends_hz: [f64; 2]) -> Vec<f64> {
 }
 
 /// Hat functions over ln f with [`KNOTS`] knots: the two knots around a frequency and their shares.
-fn hats(frequency_hz: f64, [low, high]: [f64; 2]) -> [(usize, f64); 2] {
+pub fn hats(frequency_hz: f64, [low, high]: [f64; 2]) -> [(usize, f64); 2] {
     let x = (frequency_hz / low).ln() / (high / low).ln() * (KNOTS - 1) as f64;
     let x = x.clamp(0.0, (KNOTS - 1) as f64);
     let i = (x.floor() as usize).min(KNOTS - 2);

@@ -31,11 +31,9 @@ const FINALS: usize = 6;
 const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
-/// ln of the odds against the best within which models count for the answer, and within which they are fitted to all events and kept when
-/// what is expected of residuals has changed.
-const COUNTS: f64 = 5.0;
+/// ln of the odds against the best within which models are fitted to all events and kept when what is expected of residuals has changed.
 const FAR: f64 = 30.0;
-/// The same within which candidates are looked for around a model: odds of 20 to 1.
+/// The same within which candidates are looked for around a model, and models fitted to the end: odds of 20 to 1.
 ///
 /// Source: Madigan and Raftery (1994), doi 10.1080/01621459.1994.10476894, Occam's window.
 const WINDOW: f64 = 3.0;
@@ -216,7 +214,7 @@ impl<'a> Competition<'a> {
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {
                 let fit = &self.fits[i];
-                if i == 0 || self.log_posterior(fit) > highest - COUNTS {
+                if i == 0 || self.log_posterior(fit) > highest - WINDOW {
                     self.fits[i] = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
                     progress.note(&self.described(&self.fits[i]));
                 }
@@ -345,7 +343,7 @@ impl<'a> Competition<'a> {
             !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
         };
         // What could stand in the place of an effect is a rival wherever it is nearly as probable.
-        let least = self.log_posterior(&start) - COUNTS;
+        let least = self.log_posterior(&start) - WINDOW;
         let (instead, more): (Vec<_>, Vec<_>) =
             heats.iter().partition(|heat| heat.model.effects.len() == start.model.effects.len());
         let rivals = instead.into_iter().filter(|heat| self.log_posterior(heat) > least);

@@ -1,43 +1,48 @@
 //! The covariance of the outputs of one bin.
 
+use faer::{Mat, Side};
 use realfft::num_complex::Complex;
 
 type C64 = Complex<f64>;
 
-/// Σ of one bin: diagonal plus one rank.
-///
-/// ```text
-/// Σ = diag(d) + h hᴴ,   h = H √S_in                                     (1)
-/// ```
+/// Σ of one bin by its Cholesky factor.
 pub struct Covariance {
-    /// Diagonal.
-    pub d: Vec<f64>,
-    /// h / √d.
-    b: Vec<C64>,
-    /// |b|².
-    g: f64,
+    /// Lower triangle of the factor, row by row.
+    rows: Vec<C64>,
+    n: usize,
 }
 
 impl Covariance {
-    /// That of the diagonal `d` and the transfer functions `gain` of noise of the base with power `s_in`.
-    pub fn new(d: Vec<f64>, gain: impl Iterator<Item = C64>, s_in: f64) -> Self {
-        let b: Vec<C64> = gain.zip(&d).map(|(h, d)| h * (s_in / d).sqrt()).collect();
-        let g = b.iter().map(C64::norm_sqr).sum();
-        Self { d, b, g }
+    /// That of `n` sensors with these entries, of which the lower triangle is read; what is not positive definite counts as its diagonal.
+    pub fn new(n: usize, entry: impl Fn(usize, usize) -> C64) -> Self {
+        let dense = Mat::<C64>::from_fn(n, n, |i, j| if i >= j { entry(i, j) } else { entry(j, i).conj() });
+        let factor = dense.llt(Side::Lower);
+        let of = |i: usize, j: usize| match &factor {
+            Ok(factor) => factor.L()[(i, j)],
+            Err(_) if i == j => C64::from(dense[(i, i)].re.max(f64::MIN_POSITIVE).sqrt()),
+            Err(_) => C64::default(),
+        };
+        Self { rows: (0..n).flat_map(|i| (0..=i).map(move |j| (i, j))).map(|(i, j)| of(i, j)).collect(), n }
     }
 
-    /// Σ^{−1/2} x in place.
+    /// Row `i` of the factor up to its diagonal.
+    fn row(&self, i: usize) -> &[C64] {
+        let first = i * (i + 1) / 2;
+        &self.rows[first..=first + i]
+    }
+
+    /// L⁻¹ x in place.
     pub fn whiten(&self, x: &mut [C64]) {
-        x.iter_mut().zip(&self.d).for_each(|(x, d)| *x /= d.sqrt());
-        let dot: C64 = self.b.iter().zip(&*x).map(|(b, x)| b.conj() * x).sum();
-        let root = (1.0 + self.g).sqrt();
-        let w = dot / (root * (1.0 + root));
-        x.iter_mut().zip(&self.b).for_each(|(x, b)| *x -= b * w);
+        for i in 0..self.n {
+            let row = self.row(i);
+            let known: C64 = row[..i].iter().zip(&*x).map(|(l, x)| l * x).sum();
+            x[i] = (x[i] - known) / row[i].re;
+        }
     }
 
     /// ln of the determinant.
     pub fn ln_determinant(&self) -> f64 {
-        self.d.iter().map(|d| d.ln()).sum::<f64>() + (1.0 + self.g).ln()
+        (0..self.n).map(|i| 2.0 * self.row(i)[i].re.ln()).sum()
     }
 }
 
@@ -48,20 +53,16 @@ mod tests {
     #[test]
     fn a_whitened_vector_has_the_norm_that_the_inverse_gives_it() {
         let gain = [C64::new(1.0, 0.5), C64::new(-2.0, 0.3), C64::new(0.0, 1.0)];
-        let sigma = Covariance::new(vec![0.5, 2.0, 1.0], gain.into_iter(), 0.7);
+        let entry = |i: usize, j: usize| {
+            gain[i] * gain[j].conj() * 0.7 + if i == j { C64::from([0.5, 2.0, 1.0][i]) } else { C64::default() }
+        };
+        let sigma = Covariance::new(3, entry);
         let x = [C64::new(0.3, -1.0), C64::new(2.0, 0.1), C64::new(-0.4, 0.6)];
         let mut white = x.to_vec();
         sigma.whiten(&mut white);
         let norm: f64 = white.iter().map(C64::norm_sqr).sum();
         // xᴴ Σ⁻¹ x and ln det Σ by elimination on the dense matrix.
-        let mut rows: Vec<Vec<C64>> = (0..3)
-            .map(|i| {
-                let of = |j: usize| {
-                    gain[i] * gain[j].conj() * 0.7 + if i == j { C64::from(sigma.d[i]) } else { C64::default() }
-                };
-                (0..3).map(of).chain([x[i]]).collect()
-            })
-            .collect();
+        let mut rows: Vec<Vec<C64>> = (0..3).map(|i| (0..3).map(|j| entry(i, j)).chain([x[i]]).collect()).collect();
         let mut ln_determinant = 0.0;
         for i in 0..3 {
             ln_determinant += rows[i][i].re.ln();
@@ -79,5 +80,13 @@ mod tests {
         let quadratic: C64 = x.iter().zip(&solved).map(|(x, w)| x.conj() * w).sum();
         assert!((norm - quadratic.re).abs() < 1e-12);
         assert!((sigma.ln_determinant() - ln_determinant).abs() < 1e-12);
+    }
+
+    #[test]
+    fn what_is_not_positive_definite_counts_as_its_diagonal() {
+        let sigma = Covariance::new(2, |i, j| C64::from(if i == j { 4.0 } else { 5.0 }));
+        let mut white = [C64::from(2.0), C64::from(6.0)];
+        sigma.whiten(&mut white);
+        assert_eq!(white, [C64::from(1.0), C64::from(3.0)]);
     }
 }

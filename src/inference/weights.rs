@@ -73,23 +73,25 @@ struct Record {
 /// Residuals in units of what is expected of them.
 ///
 /// ```text
-/// Y | U ~ CN( C Ŷ/√(1 − b(1 − C²)), Σ ),   Σ = (I − C²) P + S_out + H S_in Hᴴ + E + D,   D = (σ m)² N P'   (1)
-/// ln A | U ~ N( ½ ln(Â² + b(1 − C²) ⟨|Y|²⟩ₒ), 1/4n + (σ m)² R ),   weighted by the share of (I − C²) P in Σ without D  (2)
+/// Y | U ~ CN( C Ŷ/√(1 − b(1 − C²)), Σ ),   Σ = A Γ A + S_out + H S_in Hᴴ + E + D,   A² = (I − C²) P,   D = (σ m)² N P'   (1)
+/// ln A | U ~ N( ½ ln(Â² + b(1 − C²) ⟨|Y|²⟩ₒ), 1/4n + (σ m)² R ),   weighted by the share of A² in Σ without D  (2)
 /// ```
 ///
 /// Ŷ is the prediction, U the base, C the coherence of each sensor with its prediction, the same in all events. E is what elements and
-/// steps leave wrong of the motion: the power of the difference of a fine replay and a rough one. m is the declared error
-/// of the column, a share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of
-/// [`ALIKE_OCTAVES`] and in all records; N is the number of these, so that (1), which takes bins for independent, knows no more of
-/// anything smooth than a likelihood with that correlation would; the determinant is that of the correlated error, which broadens one
-/// direction of the N. Where the field strays from its base only amplitudes tell of the column: (2), A being the RMS amplitude of a band
-/// of n bins and R the number of records times that of the bands that share the error.
+/// steps leave wrong of the motion: the power of the difference of a fine replay and a rough one. m is the declared error of the column, a
+/// share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of [`ALIKE_OCTAVES`] and in
+/// all records; N is the number of these, so that (1), which takes bins for independent, knows no more of anything smooth than a likelihood
+/// with that correlation would. The determinant is that of an error which at each frequency is one number for all records, as it is read
+/// off them: were it that of [`ALIKE_OCTAVES`] as well, an error that is large and uneven over frequency, such as that of wrong labels,
+/// would cost next to nothing. Where the field strays from its base only amplitudes tell of the column: (2), A being the RMS amplitude of a
+/// band of n bins and R the number of records times that of the bands that share the error.
 ///
 /// A field that strays by scattering keeps its power at every frequency: of what was recorded, C² follows the base and 1 − C² does not.
 /// Motion of another origin, such as traffic or a second source, comes on top of that, with a spectrum of which is known only that it is
 /// smooth: ⟨ ⟩ₒ is a mean over an octave. b, from 0 to 1, is the share of what strays that is such motion, the same at all sensors and
 /// frequencies; it is estimated with the rest of a model, for a column that is to explain the whole recorded power takes up what another
-/// origin added as a gain or a lack of damping. What strays is taken to be independent from sensor to sensor.
+/// origin added as a gain or a lack of damping. What strays at one output sensor strays at others as well: Γ has ones and beside its
+/// diagonal the correlation of [`Spread`]. Amplitudes in (2) are taken to be independent from sensor to sensor.
 ///
 /// What strays lasts as long as the motion, a share s of the record: neighbouring bins are alike, and of n of them n s are independent. So
 /// residuals are divided by Σ with 1/s of what strays, and n in (2) is n s; the determinant is that of independent bins.
@@ -98,8 +100,7 @@ struct Record {
 /// have over theirs at the same frequency. The power of the record itself would count residuals least where what strays adds to the
 /// prediction, and lead to too little motion. Σ does not change with the prediction, P and H being those of the reference. So a
 /// prediction gains nothing by shrinking, and models that are compared are compared by one Σ; those that take other channels for the same
-/// sensors have one of their own, for what strays beside wrong labels says nothing of the right ones. Cross terms between sensors are those
-/// of noise of the base alone.
+/// sensors have one of their own, for what strays beside wrong labels says nothing of the right ones.
 ///
 /// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ; Kennedy and O'Hagan (2001),
 /// doi 10.1111/1467-9868.00294, for the error of the column.
@@ -187,16 +188,23 @@ impl Weights {
         let numerical = &spread.numerical[index];
         // What strays lasts as long as the motion, for this share of the record.
         let lasting = |s: usize| seen(forward, at).lasting[predicted.channels[s + 1]];
-        let plain = |s: usize, k: usize| (noise[s + 1][k] + numerical[s][k] + strays(s, k)).max(f64::MIN_POSITIVE);
-        let more = |s: usize, k: usize| strays(s, k) * (1.0 / lasting(s) - 1.0);
-        let covariance = |k: usize, of: &dyn Fn(usize) -> f64| {
-            Covariance::new((0..n_sensor).map(of).collect(), gain.iter().map(|h| h[k]), noise[0][k])
+        let quiet = |s: usize, k: usize| (noise[s + 1][k] + numerical[s][k]).max(f64::MIN_POSITIVE);
+        // That of what is independent from sensor to sensor, of what strays, and of the noise of the base.
+        let covariance = |k: usize, independent: &dyn Fn(usize) -> f64, strays: &dyn Fn(usize) -> f64| {
+            let common = interpolated(&spread.correlation, f[k], ends);
+            Covariance::new(n_sensor, |i, j| {
+                let own = if i == j { independent(i) } else { 0.0 };
+                let of_base = gain[i][k] * gain[j][k].conj() * noise[0][k];
+                let astray = if i == j { strays(i) } else { common * (strays(i) * strays(j)).sqrt() };
+                of_base + astray + own
+            })
         };
-        let sigma = |k: usize| covariance(k, &|s| plain(s, k) + more(s, k) + own(s, k));
-        // That of a covariance in which the error is one number for all of these.
+        let sigma = |k: usize| covariance(k, &|s| quiet(s, k) + own(s, k), &|s| strays(s, k) / lasting(s));
+        // That of a covariance in which the error at a frequency is one number for all records.
         let ln_determinant = |k: usize| {
-            let broadened: f64 = (0..n_sensor).map(|s| (own(s, k) / plain(s, k)).ln_1p()).sum();
-            covariance(k, &|s| plain(s, k)).ln_determinant() + broadened / alike(k)
+            let of_error = |s: usize| own(s, k) / alike(k) * n_record;
+            let broadened: f64 = (0..n_sensor).map(|s| (of_error(s) / (quiet(s, k) + strays(s, k))).ln_1p()).sum();
+            covariance(k, &|s| quiet(s, k), &|s| strays(s, k)).ln_determinant() + broadened / n_record
         };
         let band = |s: usize, bins: Range<usize>| {
             let n = bins.len() as f64;
