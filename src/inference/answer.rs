@@ -1,5 +1,7 @@
 //! From fitted models to an answer: what is named, with intervals, and what remains.
 
+mod kinds;
+
 use super::competition::Competition;
 use super::convention::conventions;
 use super::few::{self, Few};
@@ -18,12 +20,11 @@ use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
+use kinds::{Masses, besides, kinds, known_kinds, limited};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest probability that nothing is missing beside which an effect is named.
 pub(super) const NOTHING: f64 = 0.05;
-/// Least probability of a kind, over all models that have it, for it to be named.
-const KNOWN: f64 = 0.9;
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
 const UNNAMED: f64 = 2.0;
 
@@ -141,13 +142,13 @@ impl<'a> Answer<'_, 'a> {
 
     /// The most probable model whose named effects are of the `known` kinds and of no other, if any are known.
     fn sure(&self, known: &[&'static str]) -> Option<&Fit<'a>> {
-        self.competition.best_of(|fit| !known.is_empty() && kinds(fit) == known)
+        self.competition.best_of(|fit| !known.is_empty() && kinds(&fit.model.effects) == known)
     }
 
     /// Effects of the best model that has all known kinds, where no model has these alone.
     fn unfitted(&self) -> Option<Vec<Instance>> {
         let known = known_kinds(&self.masses());
-        if self.competition.fits.iter().any(|fit| kinds(fit) == known) {
+        if self.competition.fits.iter().any(|fit| kinds(&fit.model.effects) == known) {
             return None;
         }
         let of = |fit: &Fit<'a>| {
@@ -209,10 +210,10 @@ impl<'a> Answer<'_, 'a> {
     }
 
     /// Posterior probability of each set of kinds.
-    fn masses(&self) -> BTreeMap<Vec<&'static str>, f64> {
-        let mut mass: BTreeMap<Vec<&'static str>, f64> = BTreeMap::new();
+    fn masses(&self) -> Masses {
+        let mut mass: Masses = BTreeMap::new();
         for (fit, p) in self.probabilities() {
-            *mass.entry(limited(kinds(fit), self.most)).or_default() += p;
+            *mass.entry(limited(kinds(&fit.model.effects), self.most)).or_default() += p;
         }
         mass
     }
@@ -337,54 +338,6 @@ impl<'a> Answer<'_, 'a> {
     }
 }
 
-/// Kinds that are there with a probability of [`KNOWN`] by `mass`, that of each set of kinds; as often as is that probable.
-///
-/// Source: Barbieri & Berger (2004), doi 10.1214/009053604000000238, for models of what is probable by itself.
-fn known_kinds(mass: &BTreeMap<Vec<&'static str>, f64>) -> Vec<&'static str> {
-    let is_known = |kind: &str, n: usize| probability_of(mass, kind, n) >= KNOWN;
-    all_kinds(mass).flat_map(|kind| (1..).take_while(move |n| is_known(kind, *n)).map(move |_| kind)).collect()
-}
-
-/// Kinds of all sets, each once.
-fn all_kinds(mass: &BTreeMap<Vec<&'static str>, f64>) -> impl Iterator<Item = &'static str> {
-    mass.keys().flatten().copied().collect::<BTreeSet<_>>().into_iter()
-}
-
-/// Probability that an effect of `kind` is there at least `n` times.
-fn probability_of(mass: &BTreeMap<Vec<&'static str>, f64>, kind: &str, n: usize) -> f64 {
-    let count = |set: &[&str]| set.iter().filter(|k| **k == kind).count();
-    mass.iter().filter(|(set, _)| count(set) >= n).map(|(_, p)| p).sum()
-}
-
-/// Kinds that may be there besides the `known` ones, and may not, in a sentence.
-fn besides(mass: &BTreeMap<Vec<&'static str>, f64>, known: &[&'static str]) -> Option<String> {
-    let open = |kind: &'static str| {
-        let n = 1 + known.iter().filter(|k| **k == kind).count();
-        let probability = probability_of(mass, kind, n);
-        (probability > NOTHING).then(|| format!("{} ({probability:.2})", kind.replace('_', " ")))
-    };
-    let named: Vec<String> = all_kinds(mass).filter_map(open).collect();
-    (!named.is_empty())
-        .then(|| format!("Besides, and not named because not probable enough (probability): {}.", named.join(", ")))
-}
-
-/// Kinds of the named effects.
-fn kinds(fit: &Fit<'_>) -> Vec<&'static str> {
-    let mut kinds: Vec<&'static str> = fit.model.effects.iter().filter(|e| e.is_named()).map(|e| e.kind).collect();
-    kinds.sort_unstable();
-    kinds
-}
-
-/// Some `kinds`, each at most as often as `most` has it.
-fn limited(kinds: Vec<&'static str>, most: &BTreeMap<&'static str, usize>) -> Vec<&'static str> {
-    let mut named: Vec<&'static str> = Vec::new();
-    for kind in kinds {
-        let n = named.iter().filter(|known| **known == kind).count();
-        named.extend(most.get(kind).is_none_or(|most| n < *most).then_some(kind));
-    }
-    named
-}
-
 /// Share of what strays that is of another origin.
 fn of_another_origin(fit: &Fit<'_>) -> Estimate {
     let at = fit.model.declared.added();
@@ -429,25 +382,6 @@ mod tests {
     fn diagnosed(truth: &Truth<'_>) -> Diagnosis {
         let problem = problem(truth);
         diagnose(&problem, &Uniform(&problem), &DiagnoseSettings::default(), &Quiet).unwrap()
-    }
-
-    #[test]
-    fn kinds_are_named_no_more_often_than_they_may_be() {
-        let most = BTreeMap::from([("a", 1), ("b", 0)]);
-        assert_eq!(limited(vec!["a", "a", "b", "c", "c"], &most), ["a", "c", "c"]);
-    }
-
-    #[test]
-    fn known_is_what_is_probable_whatever_is_beside_it() {
-        let mass = |sets: &[(&[&'static str], f64)]| sets.iter().map(|(set, p)| (set.to_vec(), *p)).collect();
-        let open: BTreeMap<_, _> = mass(&[(&["a"], 0.05), (&["a", "b"], 0.5), (&["a", "c"], 0.45)]);
-        assert_eq!(known_kinds(&open), ["a"]);
-        let sentence = besides(&open, &["a"]).unwrap();
-        assert!(sentence.contains("b (0.50), c (0.45)"), "{sentence}");
-        assert!(besides(&mass(&[(&["a"], 0.97), (&["a", "b"], 0.03)]), &["a"]).is_none());
-        assert_eq!(known_kinds(&mass(&[(&["a"], 0.04), (&["a", "a"], 0.96)])), ["a", "a"]);
-        assert_eq!(known_kinds(&mass(&[(&["a", "a"], 0.5), (&["a", "b"], 0.5)])), ["a"]);
-        assert!(known_kinds(&mass(&[(&["a"], 0.6), (&["b"], 0.4)])).is_empty());
     }
 
     #[test]
