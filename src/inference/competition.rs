@@ -210,7 +210,7 @@ impl<'a> Competition<'a> {
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {
                 let fit = &self.fits[i];
-                if i == 0 || self.log_posterior(fit) > highest - WINDOW {
+                if self.log_posterior(fit) > highest - WINDOW {
                     self.fits[i] = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
                     progress.note(&self.described(&self.fits[i]));
                 }
