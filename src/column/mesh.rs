@@ -66,7 +66,7 @@ impl Mesh {
     pub fn new(profile: &Profile) -> Result<Self> {
         let cuts = cuts(profile);
         let stretches = stretches(profile, &cuts)?;
-        let frequency_hz = 1.0 / (4.0 * profile.travel_time_s());
+        let frequency_hz = profile.fundamental_hz();
         let is_compliant = profile.features.base_impedance_ratio > 0.0;
         let n_node = cuts.len() + usize::from(is_compliant);
         let mut mesh = Self {

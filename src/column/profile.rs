@@ -128,9 +128,14 @@ impl Profile {
         self.layers.iter().map(|l| l.thickness_m).sum()
     }
 
-    /// Time that a shear wave takes from the base to the surface, s; four of them are the fundamental period of a column of one velocity.
+    /// Time that a shear wave takes from the base to the surface, s.
     pub fn travel_time_s(&self) -> f64 {
         self.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum()
+    }
+
+    /// Fundamental frequency of a column of one velocity with this travel time, Hz.
+    pub fn fundamental_hz(&self) -> f64 {
+        0.25 / self.travel_time_s()
     }
 
     /// Share of the elements that each layer is to have, as far as their number allows.

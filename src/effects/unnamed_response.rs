@@ -58,7 +58,7 @@ const PARAMETERS: &[Parameter] = &[
 /// One for each output sensor.
 fn instances(array: &Array) -> Vec<Instance> {
     let free: Vec<Free> = PARAMETERS.iter().map(|p| Free::new(p, 0.0)).collect();
-    let fundamental_hz = 0.25 / array.profile.travel_time_s();
+    let fundamental_hz = array.profile.fundamental_hz();
     let at = |sensor: &String| {
         let target = [("sensor", sensor.as_str().into()), ("fundamental_hz", fundamental_hz.into())];
         Instance::new(ENTRY.name, target, free.clone())

@@ -7,6 +7,7 @@
 //!
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
+use super::coherence::coherent;
 use super::equivalent::Equivalent;
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
@@ -36,6 +37,13 @@ pub struct Predicted {
     pub channels: Vec<usize>,
     /// Share of the power that strays from the base which is of another origin and comes on top of the column's motion.
     pub added_share: f64,
+}
+
+impl Predicted {
+    /// What output sensor `s` recorded at bin `k` beside the mean motion there, where its coherence is `c`.
+    pub fn residual(&self, s: usize, k: usize, c: f64) -> C64 {
+        self.measured[s][k] - coherent(c, self.added_share) * self.outputs[s][k]
+    }
 }
 
 /// A prediction of every record, group by group.

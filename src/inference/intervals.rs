@@ -42,18 +42,22 @@ pub fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<
 /// whichever side of that a member has it.
 pub fn may_be_none(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> bool {
     let own = &fit.model.effects[index];
-    let mut strengths =
-        own.zero().into_iter().flatten().enumerate().filter(|(k, _)| own.free[*k].zero.is_some()).peekable();
-    strengths.peek().is_some() && strengths.all(|(k, zero)| holds(&mixture(own, k, members, true), zero))
+    are_nothing(own, |k, zero| holds(&mixture(own, k, members, true), zero))
+}
+
+/// Whether `own` has strengths, and each of their coordinates, with that at which it is nothing, is as `is_nothing` says.
+fn are_nothing(own: &Instance, is_nothing: impl Fn(usize, f64) -> bool) -> bool {
+    let zero = own.zero().unwrap_or_default();
+    let mut strengths = (0..zero.len()).filter(|k| own.free[*k].zero.is_some()).peekable();
+    strengths.peek().is_some() && strengths.all(|k| is_nothing(k, zero[k]))
 }
 
 /// What `members` say of coordinate `k` of the effect `own`, where they have it, and with `elsewhere` where they have it at another place.
 fn mixture(own: &Instance, k: usize, members: &[Member<'_, '_>], elsewhere: bool) -> Vec<Normal> {
     let of = |m: &Member<'_, '_>| {
-        let effects = &m.fit.model.effects;
-        let here = effects.iter().position(|e| e.is_one(own));
-        let index = here.or_else(|| effects.iter().position(|e| elsewhere && e.is_alike(own)))?;
-        let at = m.fit.model.start(index) + k;
+        let model = &m.fit.model;
+        let there = || model.effects.iter().position(|e| elsewhere && e.is_alike(own));
+        let at = model.start(model.index_of(own).or_else(there)?) + k;
         Some(Normal { weight: m.odds, mean: m.fit.x[at], deviation: m.half_widths[at] / NORMAL })
     };
     members.iter().filter_map(of).collect()
@@ -115,7 +119,32 @@ pub fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::made_up::{Truth, problem};
     use super::*;
+    use crate::effects;
+
+    #[test]
+    fn an_interval_that_holds_no_effect_claims_none() {
+        let instances = effects::instances(&problem(&Truth::default()).array);
+        // Intervals are given by their ends as values; those of an inverse that reaches past infinity by a negative one.
+        let of = |kind: &str, intervals: &[(&str, [f64; 2])]| {
+            let own = instances.iter().find(|i| i.kind == kind).unwrap();
+            are_nothing(own, |k, zero| {
+                let parameter = own.free[k].parameter;
+                let (_, ends) = intervals.iter().find(|(name, _)| *name == parameter.name).unwrap();
+                let [a, b] = ends.map(|end| parameter.coordinate(end));
+                holds(&[Normal { weight: 1.0, mean: 0.5 * (a + b), deviation: 0.5 * (b - a).abs() / NORMAL }], zero)
+            })
+        };
+        assert!(of("sensor_gain", &[("ln_gain", [-0.1, 0.2])]));
+        assert!(!of("sensor_gain", &[("ln_gain", [0.1, 0.2])]));
+        assert!(of("small_strain_damping", &[("multiplier", [0.2, 2.4])]));
+        assert!(of("downgoing_wave", &[("corner_hz", [2.0, -900.0])]));
+        assert!(!of("downgoing_wave", &[("corner_hz", [2.0, 9.0])]));
+        // What only shapes it says nothing, and an exchange of labels has no strength.
+        assert!(!of("surface_wave", &[("amplitude", [0.1, 0.2]), ("delay_s", [-1.0, 4.0])]));
+        assert!(!of("swapped_channels", &[]));
+    }
 
     #[test]
     fn quantiles_of_a_mixture_are_those_of_its_parts_and_between_them() {

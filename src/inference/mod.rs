@@ -16,6 +16,7 @@ mod answer;
 mod coherence;
 mod competition;
 mod convention;
+mod correlation;
 mod covariance;
 mod depth_modes;
 mod equivalent;

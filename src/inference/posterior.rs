@@ -218,7 +218,7 @@ impl<'a> Fitter<'a> {
     /// As [`Fitter::fit`].
     pub fn fit_from_afar(&self, mut start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
         let [_, high_hz] = band_hz(self.forward);
-        let mut below = self.below(FIRST_MODES * 0.25 / self.forward.problem.array.profile.travel_time_s());
+        let mut below = self.below(FIRST_MODES * self.forward.problem.array.profile.fundamental_hz());
         while below.high_hz < high_hz {
             start = match below.leap(&start) {
                 Some(there) => there,

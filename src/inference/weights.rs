@@ -1,6 +1,6 @@
 //! What a prediction is compared by: residuals in units of what is expected of them.
 
-use super::coherence::{coherent, interpolated};
+use super::coherence::interpolated;
 use super::covariance::Covariance;
 use super::forward::{At, Forward, Predicted, Prediction};
 use super::spread::{AN_OCTAVE, Places, Spread, band_hz, bands, gains, model_error, noise, powers, seen};
@@ -106,7 +106,7 @@ struct Record {
 /// doi 10.1111/1467-9868.00294, for the error of the column.
 /// Check:  `residuals_of_a_partly_coherent_field_tell_no_more_than_they_know`, `damping_of_a_partly_coherent_field_is_found`,
 ///         `motion_of_another_origin_is_no_lack_of_damping`,
-///         `levels_and_coherence_are_read_off_records`.
+///         `levels_and_coherence_are_read_off_records`, `what_strays_at_one_sensor_strays_at_others`.
 pub struct Weights {
     records: Vec<Record>,
     /// Records that each of these stands for.
@@ -238,7 +238,7 @@ impl Record {
         let mut residual = vec![C64::default(); n];
         for (k, sigma) in self.sigma.iter().enumerate() {
             for (s, r) in residual.iter_mut().enumerate() {
-                *r = p.measured[s][k] - coherent(self.coherence[s][k], p.added_share) * p.outputs[s][k];
+                *r = p.residual(s, k, self.coherence[s][k]);
             }
             sigma.whiten(&mut residual);
             rows.extend(residual.iter().flat_map(|r| [SQRT_2 * r.re, SQRT_2 * r.im]));

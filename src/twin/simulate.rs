@@ -119,7 +119,7 @@ pub fn record_event(recorder: &Recorder<'_>, name: &str, components: &[String]) 
     }
     let recording = Recording { event: name, dt_s: STEP_S, sensors: &names, depths_m: &declared_m, components };
     for extra in outside {
-        extra.add(&recording, 0.25 / profile.travel_time_s(), truth.seed, &mut motions)?;
+        extra.add(&recording, profile.fundamental_hz(), truth.seed, &mut motions)?;
     }
     let observed = effects::observe(&recording, &motions, effects, Direction::Distort);
     let records = components.iter().enumerate().map(|(c, component)| {
