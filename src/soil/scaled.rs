@@ -1,7 +1,10 @@
 //! A law whose shear is scaled by a slowly changing memory: what softening and rate dependence have in common.
 
-use super::{Damping, Increment, Law, Point, Refusal, Response, update_alone};
+mod batch;
+
+use super::{Batch, Damping, Increment, Law, Point, Refusal, Response, update_alone};
 use crate::error::{Error, Result};
+use crate::numerics::lanes::Width;
 
 /// Two factors on the shear of a law, and the memory they follow from.
 pub trait Scaling: Send + Sync {
@@ -150,6 +153,12 @@ impl Law for Scaled {
             }
         }
         Ok(())
+    }
+
+    fn batch<'l>(&'l self, start: &'l [f64], responses: &[Response], width: Width) -> Option<Box<dyn Batch + 'l>> {
+        let (inner, own) = start.split_at(responses.len() * self.law.n_state());
+        let law = super::batch(self.law.as_ref(), inner, responses, width);
+        Some(Box::new(batch::Points::new(self, law, own, width)))
     }
 
     fn couples(&self) -> bool {

@@ -2,7 +2,7 @@
 
 use super::support::{layer, profile, rayleigh};
 use flare_pipe::column::{
-    Analysis, BaseMotion, Cause, Column, Features, Profile, RunSummary, SofteningZone, Structure, Vertical,
+    Analysis, BaseMotion, Cause, Column, Features, Profile, RateZone, RunSummary, SofteningZone, Structure, Vertical,
 };
 use flare_pipe::numerics::lanes::Width;
 
@@ -87,6 +87,14 @@ fn columns() -> Vec<(&'static str, Profile, Analysis)> {
             steady.clone(),
         ),
         ("softening", edited(&|f| f.softenings.push(zone)), steady.clone()),
+        (
+            "softening and rate dependence",
+            edited(&|f| {
+                f.softenings.push(zone);
+                f.rates.push(RateZone { top_m: 0.0, bottom_m: 3.0, law_kind: None, per_log_cycle: 0.1 });
+            }),
+            steady.clone(),
+        ),
         (
             "clay that does not move vertically",
             Profile {
