@@ -4,7 +4,7 @@
 //! is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a
 //! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
 //! fitted with the column itself. The competition goes on around the best model, around it less each of its effects, and around what is
-//! nearly as probable, until that changes nothing. What the records say of the field and of the column's error is read off beside the model
+//! nearly as probable, until that changes nothing; then what could be taken for each named effect is fitted in its place. What the records say of the field and of the column's error is read off beside the model
 //! that leaves least, under each labelling of the channels, and the models under it are compared by that.
 
 mod expectation;
@@ -61,6 +61,7 @@ pub struct Competition<'a> {
     /// Everything that was fitted, what is declared first.
     pub fits: Vec<Fit<'a>>,
     expanded: Vec<Vec<Instance>>,
+    challenged: Vec<Vec<Instance>>,
 }
 
 impl<'a> Competition<'a> {
@@ -70,7 +71,16 @@ impl<'a> Competition<'a> {
         let instances = acting(array);
         let unnamed = effects::unnamed(array);
         let ln_prior = ln_prior(fitter.forward, instances.iter().chain(&unnamed));
-        Self { fitter, few, instances, ln_prior, max_effects, fits: vec![declared], expanded: Vec::new() }
+        Self {
+            fitter,
+            few,
+            instances,
+            ln_prior,
+            max_effects,
+            fits: vec![declared],
+            expanded: Vec::new(),
+            challenged: Vec::new(),
+        }
     }
 
     /// ln of the posterior of a fitted model up to a constant.
@@ -142,13 +152,37 @@ impl<'a> Competition<'a> {
                 self.round(labels, progress)?;
             }
         }
-        for _ in 0..ROUNDS {
+        let mut rounds = 0;
+        loop {
             let labels = self.best_named().labels().to_vec();
-            if !self.round(&labels, progress)? {
+            if rounds < ROUNDS && self.round(&labels, progress)? {
+                rounds += 1;
+            } else if !self.challenge(&labels, progress)? {
                 break;
             }
         }
         self.settle(progress)
+    }
+
+    /// Fits what could be taken for each effect of the most probable model under `labels`, in its place, to all events: the place of what
+    /// is named is claimed with it. Whether there is another most probable model now.
+    fn challenge(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
+        let leading = self.leading(labels).clone();
+        if self.challenged.iter().any(|set| is_same_set(set, &leading.model.effects)) {
+            return Ok(false);
+        }
+        self.challenged.push(leading.model.effects.clone());
+        let by = self.few.fitter(&self.fitter);
+        let start = self.few.of(&by, &leading)?;
+        let mut rivals = self.rivals(&by, &start);
+        rivals.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+        let least = self.log_posterior(&start) - FAR;
+        rivals.retain(|rival| self.log_posterior(rival) > least);
+        for rival in rivals.into_iter().take(FINALS) {
+            let model = Model { declared: leading.model.declared, effects: rival.model.effects };
+            self.finish(Start::at(model, rival.x), progress);
+        }
+        Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
     }
 
     /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
@@ -172,7 +206,7 @@ impl<'a> Competition<'a> {
         let mut open = simpler.chain(close.into_iter().map(|fit| fit.model.effects.clone()));
         let is_open = |set: &Vec<Instance>| !self.expanded.iter().any(|e| is_same_set(e, set));
         let Some(next) = open.find(is_open) else { return Ok(false) };
-        self.expand(next, labels, progress)?;
+        self.expand(next, progress)?;
         Ok(true)
     }
 
@@ -233,7 +267,7 @@ impl<'a> Competition<'a> {
     }
 
     /// Fits the most promising candidates beside the fitted model with `effects`.
-    fn expand(&mut self, effects: Vec<Instance>, labels: &[usize], progress: &dyn Progress) -> Result<()> {
+    fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
         let base = match self.known(&effects) {
             Some(index) => self.fits[index].clone(),
             None => {
@@ -242,16 +276,12 @@ impl<'a> Competition<'a> {
                 fit
             }
         };
-        let is_leading = is_same_set(&effects, &self.leading(labels).model.effects);
         self.expanded.push(effects);
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
         let is_open = start.model.effects.len() < self.max_effects;
         let mut heats = self.heats(&by, &start);
         heats.extend(self.unnamed(&by, &start));
-        if is_leading {
-            heats.extend(self.rivals(&by, &start));
-        }
         if is_open && base.is_strained() {
             heats.extend(self.strong(&by, &start));
         }
@@ -260,21 +290,11 @@ impl<'a> Competition<'a> {
         let is_new = |finals: &[Fit<'a>], heat: &Fit<'a>| {
             !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
         };
-        // What could stand in the place of an effect is a rival wherever it is nearly as probable.
-        let least = self.log_posterior(&start) - WINDOW;
-        let (instead, more): (Vec<_>, Vec<_>) =
-            heats.iter().partition(|heat| heat.model.effects.len() == start.model.effects.len());
-        let rivals = instead.into_iter().filter(|heat| self.log_posterior(heat) > least);
         // What is far behind in a few events is not worth all of them; a response without a name is compared with nothing here.
-        let highest = more.iter().filter(|heat| heat.model.is_named()).map(|heat| self.log_posterior(heat));
+        let highest = heats.iter().filter(|heat| heat.model.is_named()).map(|heat| self.log_posterior(heat));
         let worth = highest.fold(f64::NEG_INFINITY, f64::max) - FAR;
-        for heat in more.into_iter().filter(|heat| self.log_posterior(heat) > worth) {
+        for heat in heats.iter().filter(|heat| self.log_posterior(heat) > worth) {
             if finals.len() < FINALS && is_new(&finals, heat) {
-                finals.push(heat.clone());
-            }
-        }
-        for heat in rivals {
-            if is_new(&finals, heat) {
                 finals.push(heat.clone());
             }
         }

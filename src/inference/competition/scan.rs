@@ -36,15 +36,28 @@ impl<'a> Competition<'a> {
     pub(super) fn rivals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
         let of = |index: usize| -> Vec<Fit<'a>> {
             let own = &base.model.effects[index];
-            let Some(ground) = own.zero().and_then(|_| Ground::of(by, base, Some(index))) else { return Vec::new() };
-            let Some(there) = ground.best_of_ladder(own).and_then(|(at, _)| ground.fitted(own, at)) else {
+            if own.zero().is_none() {
                 return Vec::new();
-            };
-            let highest = self.log_posterior(&there);
+            }
             let is_meant = |i: &&Instance| is_rival(own, i) && base.model.index_of(i).is_none();
-            let found = self.scanned(&ground, self.instances.iter().filter(is_meant));
-            let is_close = |fit: &&Fit<'a>| least_borne_out(highest - self.log_posterior(fit)) < FAR;
-            Self::replayed(by, &found.iter().filter(is_close).collect::<Vec<_>>())
+            // Tolerances hold beside a rival as they do beside the effect, unless they stand in for what it would explain.
+            let grounds = [Ground::of(by, base, Some(index)), Ground::beside(by, base, index)];
+            let mut found: Vec<Fit<'a>> = Vec::new();
+            for ground in grounds.into_iter().flatten() {
+                let there = ground.best_of_ladder(own).and_then(|(at, _)| ground.fitted(own, at));
+                let Some(highest) = there.map(|there| self.log_posterior(&there)) else { continue };
+                let all = self.scanned(&ground, self.instances.iter().filter(is_meant));
+                let is_close = |fit: &Fit<'a>| least_borne_out(highest - self.log_posterior(fit)) < FAR;
+                found.extend(all.into_iter().filter(is_close));
+            }
+            found.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+            let mut best: Vec<&Fit<'a>> = Vec::new();
+            for fit in &found {
+                if !best.iter().any(|known| known.model.effects.last() == fit.model.effects.last()) {
+                    best.push(fit);
+                }
+            }
+            Self::replayed(by, &best)
         };
         (0..base.model.effects.len()).flat_map(of).collect()
     }
@@ -72,16 +85,27 @@ impl<'a> Competition<'a> {
 }
 
 impl<'a> Ground<'a> {
-    /// The model of `base`, one of its effects left out; none where the column cannot be replayed there.
+    /// The model of `base` at its declared values, one of its effects left out; none where the column cannot be replayed there.
     fn of(by: &Fitter<'a>, base: &Fit<'a>, left_out: Option<usize>) -> Option<Self> {
+        let (model, mut x) = Self::without(base, left_out);
+        x[..model.declared.len()].fill(0.0);
+        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
+    }
+
+    /// The same where `base` is.
+    fn beside(by: &Fitter<'a>, base: &Fit<'a>, left_out: usize) -> Option<Self> {
+        let (model, x) = Self::without(base, Some(left_out));
+        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
+    }
+
+    fn without(base: &Fit<'a>, left_out: Option<usize>) -> (Model<'a>, Vec<f64>) {
         let mut model = base.model.clone();
         let mut x = base.x.clone();
         if let Some(index) = left_out {
             x.drain(base.model.coordinates_of(index));
             model.effects.remove(index);
         }
-        x[..model.declared.len()].fill(0.0);
-        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
+        (model, x)
     }
 
     fn with(&self, instance: &Instance, at: Vec<f64>) -> (Model<'a>, Vec<f64>) {

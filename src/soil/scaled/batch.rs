@@ -83,7 +83,7 @@ impl Batch for Points<'_> {
         let factors = self.strain.iter().zip(&self.stress);
         for (((tau, tangent), (b, a)), kept) in shear.zip(factors).zip(&mut self.tau_pa) {
             *tau *= a; // (1)
-            *tangent = a * b * *tangent; // (2)
+            *tangent *= a * b; // (2)
             *kept = *tau;
         }
     }
