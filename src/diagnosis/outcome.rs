@@ -154,7 +154,7 @@ pub struct Diagnosis {
     pub ambiguity: Vec<String>,
     /// Recalibrated declared values as `[[effects]]`, without any new effect.
     pub nuisances: Vec<toml::Table>,
-    /// The same, fitted together with the named effects.
+    /// The same, fitted together with the named effects, and with them effects that the records ask for and whose strength may be none.
     pub corrected_nuisances: Vec<toml::Table>,
     /// Models that were fitted, most probable first.
     pub candidates: Vec<Candidate>,

@@ -115,7 +115,6 @@ impl<'a> Answer<'_, 'a> {
                 }
             }
         }
-        let range = answer.model.declared.len();
         let open =
             (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
         let effects = if is_named { self.found(answer) } else { Vec::new() };
@@ -126,7 +125,7 @@ impl<'a> Answer<'_, 'a> {
             effects,
             ambiguity,
             nuisances: plain.model.declared.tables(&plain.x),
-            corrected_nuisances: answer.model.declared.tables(&answer.x[..range]),
+            corrected_nuisances: self.recalibrated(answer),
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
             tolerance_alarms: strained(answer),
@@ -140,15 +139,36 @@ impl<'a> Answer<'_, 'a> {
         }
     }
 
-    /// The most probable model whose named effects are of the `known` kinds and of no other, if any are known.
+    /// The most probable model of which the `known` kinds and no other are claimed, if any are known.
     fn sure(&self, known: &[&'static str]) -> Option<&Fit<'a>> {
-        self.competition.best_of(|fit| !known.is_empty() && kinds(&fit.model.effects) == known)
+        self.competition.best_of(|fit| !known.is_empty() && self.claimed_kinds(fit) == known)
+    }
+
+    /// Kinds of the effects of `fit` that are claimed.
+    fn claimed_kinds(&self, fit: &Fit<'a>) -> Vec<&'static str> {
+        limited(kinds(&fit.model.effects), self.most)
+    }
+
+    /// Indices of the named effects of `fit`, those that are claimed and those that are [`Self::doubtful`]. These are recalibrated with
+    /// what is declared: without them the others would have to stand in for what the records ask of them.
+    fn claimed(&self, fit: &Fit<'a>, members: &[Member<'_, 'a>]) -> [Vec<usize>; 2] {
+        let mut left = self.claimed_kinds(fit);
+        let mut named: Vec<usize> = (0..fit.model.effects.len()).filter(|i| fit.model.effects[*i].is_named()).collect();
+        named.sort_by_key(|i| may_be_none(fit, *i, members));
+        let mut is_claimed = |i: &usize| {
+            let at = left.iter().position(|kind| *kind == fit.model.effects[*i].kind);
+            at.map(|at| left.remove(at)).is_some()
+        };
+        let [mut claimed, mut doubtful]: [Vec<usize>; 2] = named.iter().partition(|i| is_claimed(i)).into();
+        claimed.sort_unstable();
+        doubtful.sort_unstable();
+        [claimed, doubtful]
     }
 
     /// Effects of the best model that has all known kinds, where no model has these alone.
     fn unfitted(&self) -> Option<Vec<Instance>> {
         let known = known_kinds(&self.masses());
-        if self.competition.fits.iter().any(|fit| kinds(&fit.model.effects) == known) {
+        if self.competition.fits.iter().any(|fit| self.claimed_kinds(fit) == known) {
             return None;
         }
         let of = |fit: &Fit<'a>| {
@@ -227,8 +247,9 @@ impl<'a> Answer<'_, 'a> {
         let known = known_kinds(&self.masses());
         let sure = self.sure(&known)?;
         let members = self.members(sure);
-        let mut named = sure.model.effects.iter().enumerate().filter(|(_, e)| e.is_named());
-        let (_, instance) = named.find(|(index, _)| may_be_none(sure, *index, &members))?;
+        let [claimed, _] = self.claimed(sure, &members);
+        let index = claimed.into_iter().find(|index| may_be_none(sure, *index, &members))?;
+        let instance = &sure.model.effects[index];
         Some((instance.kind, known.iter().filter(|kind| **kind == instance.kind).count() - 1))
     }
 
@@ -255,7 +276,8 @@ impl<'a> Answer<'_, 'a> {
     fn not_claimed(&self) -> Option<String> {
         let named: Vec<String> = self.most.keys().map(|kind| kind.replace('_', " ")).collect();
         (!named.is_empty()).then(|| {
-            format!("Not named, because the 95 % interval of its strength holds no effect: {}.", named.join(", "))
+            let what = named.join(", ");
+            format!("Recalibrated and not named, because the 95 % interval of its strength holds no effect: {what}.")
         })
     }
 
@@ -315,7 +337,9 @@ impl<'a> Answer<'_, 'a> {
     /// Named effects with their intervals.
     fn found(&self, fit: &Fit<'a>) -> Vec<Found> {
         let members = self.members(fit);
-        let of = |(index, instance): (usize, &Instance)| {
+        let [claimed, _] = self.claimed(fit, &members);
+        let of = |index: usize| {
+            let instance = &fit.model.effects[index];
             let (start, intervals) = (fit.model.start(index), averaged(fit, index, &members));
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
                 let (x, p) = (fit.x[start + i], free.parameter);
@@ -334,7 +358,16 @@ impl<'a> Answer<'_, 'a> {
                 validation_gain: self.validation_cost(&self.competition.fits[0]) - self.validation_cost(fit),
             }
         };
-        fit.model.effects.iter().enumerate().filter(|(_, e)| e.is_named()).map(of).collect()
+        claimed.into_iter().map(of).collect()
+    }
+
+    /// What is recalibrated beside the effects that are claimed of `fit`: declared values within their tolerances, and doubtful effects.
+    fn recalibrated(&self, fit: &Fit<'a>) -> Vec<toml::Table> {
+        let declared = fit.model.declared;
+        let mut tables = declared.tables(&fit.x[..declared.len()]);
+        let [_, doubtful] = self.claimed(fit, &self.members(fit));
+        tables.extend(doubtful.into_iter().map(|index| fit.model.effect_table(&fit.x, index)));
+        tables
     }
 }
 
