@@ -206,6 +206,17 @@ pub fn batch<'l>(law: &'l dyn Law, start: &'l [f64], responses: &[Response], wid
     law.batch(start, responses, width).unwrap_or_else(lane_by_lane)
 }
 
+/// The same of a law around `law` whose memory in `start` comes after that of `law`: the batch of `law`, and that memory.
+fn batch_around<'l>(
+    law: &'l dyn Law,
+    start: &'l [f64],
+    responses: &[Response],
+    width: Width,
+) -> (Box<dyn Batch + 'l>, &'l [f64]) {
+    let (inner, own) = start.split_at(responses.len() * law.n_state());
+    (batch(law, inner, responses, width), own)
+}
+
 /// [`Law::update`] of a law that is written for many points: the increment of one of them.
 fn update_alone(
     law: &impl Law,

@@ -2,7 +2,7 @@
 
 mod batch;
 
-use super::{Batch, Damping, Increment, Law, Point, Refusal, Response, update_alone};
+use super::{Batch, Damping, Increment, Law, Point, Refusal, Response, batch_around, update_alone};
 use crate::error::{Error, Result};
 use crate::numerics::lanes::Width;
 
@@ -156,8 +156,7 @@ impl Law for Scaled {
     }
 
     fn batch<'l>(&'l self, start: &'l [f64], responses: &[Response], width: Width) -> Option<Box<dyn Batch + 'l>> {
-        let (inner, own) = start.split_at(responses.len() * self.law.n_state());
-        let law = super::batch(self.law.as_ref(), inner, responses, width);
+        let (law, own) = batch_around(self.law.as_ref(), start, responses, width);
         Some(Box::new(batch::Points::new(self, law, own, width)))
     }
 

@@ -3,7 +3,7 @@
 mod batch;
 
 use super::relaxation::{N_BODY, relaxations, times_s};
-use super::{Batch, Damping, Increment, Law, Point, Refusal, Relaxation, Response, update_alone};
+use super::{Batch, Damping, Increment, Law, Point, Refusal, Relaxation, Response, batch_around, update_alone};
 use crate::error::{Error, Result};
 use crate::numerics::lanes::Width;
 
@@ -192,8 +192,7 @@ impl Law for Viscoelastic {
     }
 
     fn batch<'l>(&'l self, start: &'l [f64], responses: &[Response], width: Width) -> Option<Box<dyn Batch + 'l>> {
-        let (inner, own) = start.split_at(responses.len() * self.law.n_state());
-        let law = super::batch(self.law.as_ref(), inner, responses, width);
+        let (law, own) = batch_around(self.law.as_ref(), start, responses, width);
         Some(Box::new(batch::Points::new(law, own, width)))
     }
 

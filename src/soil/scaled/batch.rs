@@ -3,6 +3,7 @@
 use super::Scaled;
 use crate::numerics::lanes::Width;
 use crate::soil::{Batch, Increment, Refusal, Shear, Steps};
+use std::ops::Range;
 
 /// Points under several motions, around those of a law. Factors follow from committed memory alone, so they are taken once an accepted
 /// increment.
@@ -46,11 +47,16 @@ impl<'l> Points<'l> {
         }
     }
 
+    /// Where the memory of a lane is.
+    fn memory(&self, lane: usize) -> Range<usize> {
+        let n = self.start.len();
+        lane * n..(lane + 1) * n
+    }
+
     /// Takes the factors of a lane from its memory.
     fn renew(&mut self, lane: usize) {
         let (lanes, n) = (self.width.lanes(), self.scaled.n_own);
-        let own = &self.own[lane * self.start.len()..(lane + 1) * self.start.len()];
-        for (point, own) in own.chunks_exact(n).enumerate() {
+        for (point, own) in self.own[self.memory(lane)].chunks_exact(n).enumerate() {
             let at = point * lanes + lane;
             (self.strain[at], self.stress[at]) = self.scaled.factors(own);
         }
@@ -60,7 +66,8 @@ impl<'l> Points<'l> {
 impl Batch for Points<'_> {
     fn restart(&mut self, lane: usize) {
         self.law.restart(lane);
-        self.own[lane * self.start.len()..(lane + 1) * self.start.len()].copy_from_slice(self.start);
+        let memory = self.memory(lane);
+        self.own[memory].copy_from_slice(self.start);
         self.renew(lane);
     }
 
@@ -92,8 +99,8 @@ impl Batch for Points<'_> {
         self.law.accept(lanes);
         let (width, n) = (self.width.lanes(), self.scaled.n_own);
         for lane in (0..width).filter(|lane| lanes[*lane]) {
-            let own = &mut self.own[lane * self.start.len()..(lane + 1) * self.start.len()];
-            for (point, own) in own.chunks_exact_mut(n).enumerate() {
+            let memory = self.memory(lane);
+            for (point, own) in self.own[memory].chunks_exact_mut(n).enumerate() {
                 let at = point * width + lane;
                 let increment = Increment { gamma: self.increments[at], eps_yy: 0.0, dt_s: self.dt_s[lane] };
                 self.scaled.follow(&increment, self.tau_pa[at], own, &mut self.next);
