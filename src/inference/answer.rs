@@ -1,12 +1,13 @@
 //! From fitted models to an answer: what is named, with intervals, and what remains.
 
+mod claims;
 mod kinds;
 
 use super::competition::Competition;
 use super::convention::conventions;
 use super::few::{self, Few};
 use super::forward::{Forward, Prediction};
-use super::intervals::{Member, NORMAL, averaged, half_widths, may_be_none};
+use super::intervals::{Member, NORMAL, averaged, half_widths};
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
 use super::recalibration::recalibrated;
@@ -20,7 +21,7 @@ use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
-use kinds::{Masses, besides, kinds, known_kinds, limited};
+use kinds::{Masses, besides, is_taken, known_kinds};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest probability that nothing is missing beside which an effect is named.
@@ -117,7 +118,9 @@ impl<'a> Answer<'_, 'a> {
         }
         let open =
             (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
-        let effects = if is_named { self.found(answer) } else { Vec::new() };
+        let members = self.members(answer);
+        let claims = self.claims(answer, &members);
+        let effects = if is_named { self.found(answer, &members, &claims.claimed) } else { Vec::new() };
         let tables: Vec<toml::Table> = effects.iter().map(|found| found.table.clone()).collect();
         let left_alone = effects::left_alone(&tables, &self.problem.array.profile);
         Diagnosis {
@@ -125,14 +128,15 @@ impl<'a> Answer<'_, 'a> {
             effects,
             ambiguity,
             nuisances: plain.model.declared.tables(&plain.x),
-            corrected_nuisances: self.recalibrated(answer),
+            corrected_nuisances: claims.recalibrated(answer),
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
             tolerance_alarms: strained(answer),
             notes: [rest.sentence()]
                 .into_iter()
                 .chain(open.into_iter().flatten())
-                .chain(self.not_claimed())
+                .chain(self.not_named())
+                .chain(claims.not_left_out(answer))
                 .chain(left_alone)
                 .collect(),
             rest: Some(rest),
@@ -144,27 +148,6 @@ impl<'a> Answer<'_, 'a> {
         self.competition.best_of(|fit| !known.is_empty() && self.claimed_kinds(fit) == known)
     }
 
-    /// Kinds of the effects of `fit` that are claimed.
-    fn claimed_kinds(&self, fit: &Fit<'a>) -> Vec<&'static str> {
-        limited(kinds(&fit.model.effects), self.most)
-    }
-
-    /// Indices of the named effects of `fit`, those that are claimed and those that are [`Self::doubtful`]. These are recalibrated with
-    /// what is declared: without them the others would have to stand in for what the records ask of them.
-    fn claimed(&self, fit: &Fit<'a>, members: &[Member<'_, 'a>]) -> [Vec<usize>; 2] {
-        let mut left = self.claimed_kinds(fit);
-        let mut named: Vec<usize> = (0..fit.model.effects.len()).filter(|i| fit.model.effects[*i].is_named()).collect();
-        named.sort_by_key(|i| may_be_none(fit, *i, members));
-        let mut is_claimed = |i: &usize| {
-            let at = left.iter().position(|kind| *kind == fit.model.effects[*i].kind);
-            at.map(|at| left.remove(at)).is_some()
-        };
-        let [mut claimed, mut doubtful]: [Vec<usize>; 2] = named.iter().partition(|i| is_claimed(i)).into();
-        claimed.sort_unstable();
-        doubtful.sort_unstable();
-        [claimed, doubtful]
-    }
-
     /// Effects of the best model that has all known kinds, where no model has these alone.
     fn unfitted(&self) -> Option<Vec<Instance>> {
         let known = known_kinds(&self.masses());
@@ -173,11 +156,8 @@ impl<'a> Answer<'_, 'a> {
         }
         let of = |fit: &Fit<'a>| {
             let mut wanted = known.clone();
-            let mut is_wanted = |e: &&Instance| {
-                let index = wanted.iter().position(|kind| *kind == e.kind);
-                index.map(|i| wanted.remove(i)).is_some()
-            };
-            let effects: Vec<Instance> = fit.model.effects.iter().filter(&mut is_wanted).cloned().collect();
+            let effects = fit.model.effects.iter().filter(|e| is_taken(&mut wanted, e.kind)).cloned();
+            let effects: Vec<Instance> = effects.collect();
             wanted.is_empty().then_some((self.competition.log_posterior(fit), effects))
         };
         let all = self.competition.fits.iter().filter_map(of);
@@ -233,24 +213,9 @@ impl<'a> Answer<'_, 'a> {
     fn masses(&self) -> Masses {
         let mut mass: Masses = BTreeMap::new();
         for (fit, p) in self.probabilities() {
-            *mass.entry(limited(kinds(&fit.model.effects), self.most)).or_default() += p;
+            *mass.entry(self.claimed_kinds(fit)).or_default() += p;
         }
         mass
-    }
-
-    /// A known kind, and how often it is there without one whose interval holds no effect. Evidence takes events for independent and the
-    /// model for right up to what is expected of residuals; where events disagree more than that, it is sure of too much, and the
-    /// interval, which is theirs, is not.
-    ///
-    /// Source: Kent (1982), doi 10.1093/biomet/69.1.19, for likelihood ratios of models that are not quite right.
-    fn doubtful(&self) -> Option<(&'static str, usize)> {
-        let known = known_kinds(&self.masses());
-        let sure = self.sure(&known)?;
-        let members = self.members(sure);
-        let [claimed, _] = self.claimed(sure, &members);
-        let index = claimed.into_iter().find(|index| may_be_none(sure, *index, &members))?;
-        let instance = &sure.model.effects[index];
-        Some((instance.kind, known.iter().filter(|kind| **kind == instance.kind).count() - 1))
     }
 
     /// A sentence for each of the `known` kinds whose place is not known with it.
@@ -270,15 +235,6 @@ impl<'a> Answer<'_, 'a> {
         };
         let once: BTreeSet<&&'static str> = known.iter().collect();
         once.into_iter().filter_map(of).collect()
-    }
-
-    /// What is not named because it is [`Self::doubtful`], in a sentence.
-    fn not_claimed(&self) -> Option<String> {
-        let named: Vec<String> = self.most.keys().map(|kind| kind.replace('_', " ")).collect();
-        (!named.is_empty()).then(|| {
-            let what = named.join(", ");
-            format!("Recalibrated and not named, because the 95 % interval of its strength holds no effect: {what}.")
-        })
     }
 
     /// Residual power over that of the records, mean over records and sensors.
@@ -334,13 +290,11 @@ impl<'a> Answer<'_, 'a> {
         close.map(|other| Member { fit: other, odds: odds(other), half_widths: half_widths(other, &groups) }).collect()
     }
 
-    /// Named effects with their intervals.
-    fn found(&self, fit: &Fit<'a>) -> Vec<Found> {
-        let members = self.members(fit);
-        let [claimed, _] = self.claimed(fit, &members);
+    /// Those effects of `fit` that are `claimed`, with their intervals.
+    fn found(&self, fit: &Fit<'a>, members: &[Member<'_, 'a>], claimed: &[usize]) -> Vec<Found> {
         let of = |index: usize| {
             let instance = &fit.model.effects[index];
-            let (start, intervals) = (fit.model.start(index), averaged(fit, index, &members));
+            let (start, intervals) = (fit.model.start(index), averaged(fit, index, members));
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
                 let (x, p) = (fit.x[start + i], free.parameter);
                 let [low, high] = p.bounds();
@@ -358,16 +312,7 @@ impl<'a> Answer<'_, 'a> {
                 validation_gain: self.validation_cost(&self.competition.fits[0]) - self.validation_cost(fit),
             }
         };
-        claimed.into_iter().map(of).collect()
-    }
-
-    /// What is recalibrated beside the effects that are claimed of `fit`: declared values within their tolerances, and doubtful effects.
-    fn recalibrated(&self, fit: &Fit<'a>) -> Vec<toml::Table> {
-        let declared = fit.model.declared;
-        let mut tables = declared.tables(&fit.x[..declared.len()]);
-        let [_, doubtful] = self.claimed(fit, &self.members(fit));
-        tables.extend(doubtful.into_iter().map(|index| fit.model.effect_table(&fit.x, index)));
-        tables
+        claimed.iter().map(|index| of(*index)).collect()
     }
 }
 

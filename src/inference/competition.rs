@@ -4,24 +4,29 @@
 //! is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a
 //! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
 //! fitted with the column itself. The competition goes on around the best model, around it less each of its effects, and around what is
-//! nearly as probable, until that changes nothing; then what could be taken for each named effect is fitted in its place. What the records say of the field and of the column's error is read off beside the model
-//! that leaves least, under each labelling of the channels, and the models under it are compared by that.
+//! nearly as probable, until that changes nothing; then what could be taken for each named effect is fitted in its place ([`rivals`]).
+//! What the records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of
+//! the channels, and the models under it are compared by that.
 
 mod expectation;
+mod prior;
 mod proposals;
+mod rivals;
 mod scan;
 
 use super::few::Few;
-use super::forward::{Forward, Prediction};
+use super::forward::Prediction;
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Replays, Start, Stop};
 use super::recalibration::recalibrated;
 use super::weights::{Expected, Rows};
-use crate::effects::{self, Array, Instance};
+use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
-use proposals::{NODES, Proposal, away, distinct};
+pub(super) use prior::{acting, ln_prior};
+use proposals::{Proposal, distinct};
+use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -47,8 +52,6 @@ const SETTLINGS: usize = 3;
 const TOLD: f64 = 0.5;
 /// Prior standard deviations that a tolerance may move for slopes to be carried along.
 const NEAR: f64 = 1.0;
-/// Prior probability of one effect more.
-const ONE_MORE: f64 = 0.25;
 
 /// Fitted models by their effects.
 pub struct Competition<'a> {
@@ -120,6 +123,11 @@ impl<'a> Competition<'a> {
         self.fits.iter().filter(|fit| is_meant(fit)).max_by(more)
     }
 
+    /// Sorts fits, the most probable first.
+    fn best_first<F: Borrow<Fit<'a>>>(&self, fits: &mut [F]) {
+        fits.sort_by(|a, b| self.log_posterior(b.borrow()).total_cmp(&self.log_posterior(a.borrow())));
+    }
+
     fn best_named(&self) -> &Fit<'a> {
         self.best_of(|fit| fit.model.is_named()).unwrap_or(&self.fits[0])
     }
@@ -164,27 +172,6 @@ impl<'a> Competition<'a> {
         self.settle(progress)
     }
 
-    /// Fits what could be taken for each effect of the most probable model under `labels`, in its place, to all events: the place of what
-    /// is named is claimed with it. Whether there is another most probable model now.
-    fn challenge(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
-        let leading = self.leading(labels).clone();
-        if self.challenged.iter().any(|set| is_same_set(set, &leading.model.effects)) {
-            return Ok(false);
-        }
-        self.challenged.push(leading.model.effects.clone());
-        let by = self.few.fitter(&self.fitter);
-        let start = self.few.of(&by, &leading)?;
-        let mut rivals = self.rivals(&by, &start);
-        rivals.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
-        let least = self.log_posterior(&start) - FAR;
-        rivals.retain(|rival| self.log_posterior(rival) > least);
-        for rival in rivals.into_iter().take(FINALS) {
-            let model = Model { declared: leading.model.declared, effects: rival.model.effects };
-            self.finish(Start::at(model, rival.x), progress);
-        }
-        Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
-    }
-
     /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
     fn round(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
         self.renew_anchor(labels, Stop::CLOSE)?;
@@ -200,11 +187,11 @@ impl<'a> Competition<'a> {
         let is_close =
             |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && self.log_posterior(fit) > least;
         let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).collect();
-        close.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+        self.best_first(&mut close);
         // What is simpler first: it may do as well. Then the best, and what is nearly as probable, which may lead elsewhere.
         let simpler = (0..effects.len()).filter(keeps_labels).map(without);
         let mut open = simpler.chain(close.into_iter().map(|fit| fit.model.effects.clone()));
-        let is_open = |set: &Vec<Instance>| !self.expanded.iter().any(|e| is_same_set(e, set));
+        let is_open = |set: &Vec<Instance>| !has_set(&self.expanded, set);
         let Some(next) = open.find(is_open) else { return Ok(false) };
         self.expand(next, progress)?;
         Ok(true)
@@ -285,7 +272,7 @@ impl<'a> Competition<'a> {
         if is_open && base.is_strained() {
             heats.extend(self.strong(&by, &start));
         }
-        heats.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+        self.best_first(&mut heats);
         let mut finals: Vec<Fit<'a>> = Vec::new();
         let is_new = |finals: &[Fit<'a>], heat: &Fit<'a>| {
             !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
@@ -429,37 +416,12 @@ impl<'a> Competition<'a> {
     }
 }
 
-/// Effects of the catalogue at every place of `array` where they have something to act on.
-pub(super) fn acting(array: &Array) -> Vec<Instance> {
-    let acts = |i: &Instance| {
-        let at = i.zero().map_or_else(Vec::new, |zero| away(i, &zero, NODES[0], 1.0).unwrap_or(i.start()));
-        effects::build(&i.at(&at)).is_ok_and(|e| e.refusal(&array.profile).is_none())
-    };
-    effects::instances(array).into_iter().filter(acts).collect()
-}
-
-/// ln of the prior of an effect at one of its places among `all` of them, by kind: kinds are as probable as each other, and so are the
-/// places of each. Each number that an effect takes from a record is one more that is fitted to it.
-///
-/// Source: Schwarz (1978), doi 10.1214/aos/1176344136, for ½ ln n a fitted number.
-pub(super) fn ln_prior<'i>(
-    forward: &Forward<'_>,
-    all: impl Iterator<Item = &'i Instance>,
-) -> BTreeMap<&'static str, f64> {
-    let mut places: BTreeMap<&'static str, (f64, f64)> = BTreeMap::new();
-    for instance in all {
-        places.entry(instance.kind).or_insert((0.0, instance.hidden() as f64)).0 += 1.0;
-    }
-    let values = forward.records.iter().map(|at| 2.0 * forward.frequencies_hz(*at).len() as f64);
-    let by_number: f64 = values.map(|n| 0.5 * n.ln()).sum();
-    let kinds = places.len() as f64;
-    places
-        .into_iter()
-        .map(|(kind, (n, hidden))| (kind, -(kinds * n).ln() - hidden * by_number + ONE_MORE.ln()))
-        .collect()
-}
-
 /// Whether two sets hold the same effects in any order.
 fn is_same_set(one: &[Instance], other: &[Instance]) -> bool {
     one.len() == other.len() && one.iter().all(|a| other.iter().any(|b| a.is_one(b)))
+}
+
+/// Whether `sets` hold a set of effects.
+fn has_set(sets: &[Vec<Instance>], set: &[Instance]) -> bool {
+    sets.iter().any(|known| is_same_set(known, set))
 }

@@ -58,6 +58,12 @@ pub(super) fn limited(kinds: Vec<&'static str>, most: &BTreeMap<&'static str, us
     named
 }
 
+/// Whether `kind` is among `wanted`, from which it is taken.
+pub(super) fn is_taken(wanted: &mut Vec<&'static str>, kind: &str) -> bool {
+    let at = wanted.iter().position(|known| *known == kind);
+    at.map(|at| wanted.remove(at)).is_some()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -2,18 +2,18 @@
 //! other effects stand in for something strong, what is linear beside them says little of it.
 
 use super::proposals::{SHORTLIST, away, distinct, is_among_best};
-use super::{Competition, FAR, FAR_HEAT};
-use crate::effects::{self, Instance};
+use super::{Competition, FAR_HEAT};
+use crate::effects::Instance;
 use crate::inference::parameters::Model;
-use crate::inference::posterior::{Fit, Fitter, Start, Stop, least_borne_out};
+use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::numerics::threads::on_threads;
 use std::collections::BTreeMap;
 
 /// Strengths at which candidates are tried to either side of nothing, in typical sizes.
 const LADDER: [f64; 4] = [0.4, 0.9, 1.5, 2.2];
 
-/// What candidates are added to: a model at its declared values, and the equivalent-linear column there.
-struct Ground<'a> {
+/// What candidates are added to: a model somewhere, and the equivalent-linear column there.
+pub(super) struct Ground<'a> {
     by: Fitter<'a>,
     model: Model<'a>,
     x: Vec<f64>,
@@ -22,7 +22,7 @@ struct Ground<'a> {
 impl<'a> Competition<'a> {
     /// First fits of the most promising candidates beside the effects of `base`.
     pub(super) fn strong(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
-        let Some(ground) = Ground::of(by, base, None) else { return Vec::new() };
+        let Some(ground) = Ground::declared(by, base.model.clone(), base.x.clone()) else { return Vec::new() };
         let open = self.instances.iter().filter(|i| base.model.index_of(i).is_none());
         let found = self.scanned(&ground, open);
         // Which of the places of a form it is that column does not tell well enough.
@@ -32,38 +32,12 @@ impl<'a> Competition<'a> {
         Self::replayed(by, &found.iter().filter(is_alike).collect::<Vec<_>>())
     }
 
-    /// First fits of what could be taken for each of the effects of `base`, in its place.
-    pub(super) fn rivals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
-        let of = |index: usize| -> Vec<Fit<'a>> {
-            let own = &base.model.effects[index];
-            if own.zero().is_none() {
-                return Vec::new();
-            }
-            let is_meant = |i: &&Instance| is_rival(own, i) && base.model.index_of(i).is_none();
-            // Tolerances hold beside a rival as they do beside the effect, unless they stand in for what it would explain.
-            let grounds = [Ground::of(by, base, Some(index)), Ground::beside(by, base, index)];
-            let mut found: Vec<Fit<'a>> = Vec::new();
-            for ground in grounds.into_iter().flatten() {
-                let there = ground.best_of_ladder(own).and_then(|(at, _)| ground.fitted(own, at));
-                let Some(highest) = there.map(|there| self.log_posterior(&there)) else { continue };
-                let all = self.scanned(&ground, self.instances.iter().filter(is_meant));
-                let is_close = |fit: &Fit<'a>| least_borne_out(highest - self.log_posterior(fit)) < FAR;
-                found.extend(all.into_iter().filter(is_close));
-            }
-            found.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
-            let mut best: Vec<&Fit<'a>> = Vec::new();
-            for fit in &found {
-                if !best.iter().any(|known| known.model.effects.last() == fit.model.effects.last()) {
-                    best.push(fit);
-                }
-            }
-            Self::replayed(by, &best)
-        };
-        (0..base.model.effects.len()).flat_map(of).collect()
-    }
-
     /// Fits of the most promising `candidates` to the equivalent-linear column, best first.
-    fn scanned<'i>(&self, ground: &Ground<'a>, candidates: impl Iterator<Item = &'i Instance>) -> Vec<Fit<'a>> {
+    pub(super) fn scanned<'i>(
+        &self,
+        ground: &Ground<'a>,
+        candidates: impl Iterator<Item = &'i Instance>,
+    ) -> Vec<Fit<'a>> {
         let smooth: Vec<&Instance> = candidates.filter(|i| i.zero().is_some() && i.hidden() == 0).collect();
         let tried = |i: usize| Some((smooth[i], ground.best_of_ladder(smooth[i])?));
         let mut all: Vec<_> = on_threads(smooth.len(), tried).into_iter().flatten().collect();
@@ -73,39 +47,27 @@ impl<'a> Competition<'a> {
         all.truncate(SHORTLIST);
         let fitted = |i: usize| ground.fitted(all[i].0, all[i].1.0.clone());
         let mut fits: Vec<Fit<'a>> = on_threads(all.len(), fitted).into_iter().flatten().collect();
-        fits.sort_by(|a, b| self.log_posterior(b).total_cmp(&self.log_posterior(a)));
+        self.best_first(&mut fits);
         fits
     }
 
     /// Fits to the column itself from where those of the equivalent-linear one ended.
-    fn replayed(by: &Fitter<'a>, found: &[&Fit<'a>]) -> Vec<Fit<'a>> {
+    pub(super) fn replayed(by: &Fitter<'a>, found: &[&Fit<'a>]) -> Vec<Fit<'a>> {
         let fitted = |i: usize| by.fit(Start::at(found[i].model.clone(), found[i].x.clone()), FAR_HEAT).ok();
         on_threads(found.len(), fitted).into_iter().flatten().collect()
     }
 }
 
 impl<'a> Ground<'a> {
-    /// The model of `base` at its declared values, one of its effects left out; none where the column cannot be replayed there.
-    fn of(by: &Fitter<'a>, base: &Fit<'a>, left_out: Option<usize>) -> Option<Self> {
-        let (model, mut x) = Self::without(base, left_out);
+    /// A model at `x`; none where the column cannot be replayed there.
+    pub(super) fn new(by: &Fitter<'a>, model: Model<'a>, x: Vec<f64>) -> Option<Self> {
+        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
+    }
+
+    /// A model at its declared values, its effects as at `x`.
+    pub(super) fn declared(by: &Fitter<'a>, model: Model<'a>, mut x: Vec<f64>) -> Option<Self> {
         x[..model.declared.len()].fill(0.0);
-        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
-    }
-
-    /// The same where `base` is.
-    fn beside(by: &Fitter<'a>, base: &Fit<'a>, left_out: usize) -> Option<Self> {
-        let (model, x) = Self::without(base, Some(left_out));
-        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
-    }
-
-    fn without(base: &Fit<'a>, left_out: Option<usize>) -> (Model<'a>, Vec<f64>) {
-        let mut model = base.model.clone();
-        let mut x = base.x.clone();
-        if let Some(index) = left_out {
-            x.drain(base.model.coordinates_of(index));
-            model.effects.remove(index);
-        }
-        (model, x)
+        Self::new(by, model, x)
     }
 
     fn with(&self, instance: &Instance, at: Vec<f64>) -> (Model<'a>, Vec<f64>) {
@@ -115,7 +77,7 @@ impl<'a> Ground<'a> {
     }
 
     /// The most probable strength of `instance` among those of the ladder, and −ln of its posterior density.
-    fn best_of_ladder(&self, instance: &Instance) -> Option<(Vec<f64>, f64)> {
+    pub(super) fn best_of_ladder(&self, instance: &Instance) -> Option<(Vec<f64>, f64)> {
         let zero = instance.zero()?;
         let sides = |size: &f64| [1.0, -1.0].map(|side| away(instance, &zero, *size, side));
         let cost = |at: Vec<f64>| {
@@ -127,16 +89,10 @@ impl<'a> Ground<'a> {
     }
 
     /// The fit of `instance` from `at`.
-    fn fitted(&self, instance: &Instance, at: Vec<f64>) -> Option<Fit<'a>> {
+    pub(super) fn fitted(&self, instance: &Instance, at: Vec<f64>) -> Option<Fit<'a>> {
         let (model, x) = self.with(instance, at);
         self.by.fit(Start::at(model, x), Stop::ON_THE_WAY).ok()
     }
-}
-
-/// Whether `other` could be taken for `own`: the catalogue of either knows them to be confused, or it is another place of the same.
-fn is_rival(own: &Instance, other: &Instance) -> bool {
-    let has = |one: &Instance, kind| effects::find(one.kind).is_ok_and(|e| e.catalogue.confused_with.contains(&kind));
-    own.kind == other.kind || has(own, other.kind) || has(other, own.kind)
 }
 
 #[cfg(test)]
