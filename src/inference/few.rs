@@ -7,8 +7,8 @@ use super::weights::Rows;
 use crate::error::Result;
 use std::sync::Arc;
 
-/// Events that stand for all.
-const EVENTS: usize = 3;
+/// Events that stand for all: two components of each are what is replayed side by side.
+const EVENTS: usize = 4;
 
 /// The column and the sensors in a few events, the strongest among them.
 pub struct Few<'a> {
@@ -18,18 +18,22 @@ pub struct Few<'a> {
     pub declared: &'a Declared,
 }
 
-/// The strongest event, and the first and the last of the others: what depends on strain or on the past differs most between these.
-pub fn groups(forward: &Forward<'_>) -> Vec<usize> {
+/// The strongest event.
+fn strongest(forward: &Forward<'_>) -> usize {
     let strength = |g: &usize| -> f64 {
         let of = |event: usize| forward.problem.events[event].input.iter().fold(0.0, |m: f64, a| m.max(a.abs()));
         forward.groups[*g].records.iter().map(|r| of(r.event)).fold(0.0, f64::max)
     };
-    let all: Vec<usize> = (0..forward.groups.len()).collect();
-    let strongest = all.iter().copied().max_by(|a, b| strength(a).total_cmp(&strength(b))).unwrap_or(0);
-    let others: Vec<usize> = all.into_iter().filter(|g| *g != strongest).collect();
-    let ends = others.len().saturating_sub(EVENTS - 2);
-    let mut chosen: Vec<usize> = others.iter().take(1).chain(others.iter().skip(ends.max(1))).copied().collect();
-    chosen.push(strongest);
+    (0..forward.groups.len()).max_by(|a, b| strength(a).total_cmp(&strength(b))).unwrap_or(0)
+}
+
+/// The strongest event, and others from the first to the last: what depends on strain or on the past differs most between these.
+pub fn groups(forward: &Forward<'_>) -> Vec<usize> {
+    let strongest = strongest(forward);
+    let others: Vec<usize> = (0..forward.groups.len()).filter(|g| *g != strongest).collect();
+    let count = others.len().min(EVENTS - 1);
+    let evenly = |i: usize| others[i * (others.len() - 1) / (count - 1).max(1)];
+    let mut chosen: Vec<usize> = (0..count).map(evenly).chain([strongest]).collect();
     chosen.sort_unstable();
     chosen
 }
@@ -53,12 +57,18 @@ impl<'a> Few<'a> {
 }
 
 impl<'a> Forward<'a> {
-    /// Its `groups` alone, each standing for as many as there are of all to one of them.
+    /// Its `groups` alone: the strongest, which is always among them, stands for itself, and the others for all others.
+    ///
+    /// Source: Horvitz and Thompson (1952), doi 10.1080/01621459.1952.10483446: what is drawn with certainty counts once.
     pub fn in_groups(&self, groups: &[usize]) -> Self {
         let mut few = self.without_replays(groups.iter().map(|g| self.groups[*g].clone()).collect());
-        let is_kept = |i: &usize| groups.contains(&self.records[*i].group);
-        few.kept = (0..self.records.len()).filter(is_kept).collect();
-        few.share = few.records.len() as f64 / self.records.len() as f64;
+        few.kept = (0..self.records.len()).filter(|i| groups.contains(&self.records[*i].group)).collect();
+        let strongest = strongest(self);
+        let is_other = |i: &usize| self.records[*i].group != strongest;
+        let others =
+            [(0..self.records.len()).filter(is_other).count(), few.kept.iter().filter(|i| is_other(i)).count()];
+        let each = others[0] as f64 / others[1].max(1) as f64;
+        few.stands_for = few.kept.iter().map(|i| if is_other(i) { each } else { 1.0 }).collect();
         few
     }
 
@@ -69,9 +79,8 @@ impl<'a> Forward<'a> {
 
     /// Residuals of its own records among those of all, each counting for as many records as it stands for.
     fn rows_of(&self, of_all: &Rows) -> Rows {
-        let factor = 1.0 / self.share.sqrt();
-        let scaled = |i: &usize| of_all[*i].iter().map(|r| r * factor).collect();
-        self.kept.iter().map(scaled).collect()
+        let scaled = |(i, n): (&usize, &f64)| of_all[*i].iter().map(|r| r * n.sqrt()).collect();
+        self.kept.iter().zip(&self.stands_for).map(scaled).collect()
     }
 }
 
@@ -102,9 +111,11 @@ mod tests {
         let model = Model { declared: &declared, effects: Vec::new() };
         let fit = fitter.fit(Start::at(model, vec![0.0; declared.len()]), Stop::CLOSE).unwrap();
         let chosen = groups(&whole);
-        // The strongest is the last of the eight, the others the first and the last beside it.
-        assert_eq!(chosen, [0, 6, 7]);
+        // The strongest is the last of the eight, the others the first, the last beside it and the one between.
+        assert_eq!(chosen, [0, 3, 6, 7]);
         let few = whole.in_groups(&chosen);
+        // Two components of each.
+        assert_eq!(few.stands_for, [[7.0 / 3.0; 6].as_slice(), &[1.0; 2]].concat());
         let own = declared.in_events(&few);
         let few = Few { forward: &few, declared: &own };
         let by = few.fitter(&fitter);
@@ -113,7 +124,7 @@ mod tests {
         let pairs = part.rows.iter().flatten().zip(expected.iter().flatten());
         assert!(pairs.clone().count() > 1000);
         pairs.for_each(|(a, b)| assert!((a - b).abs() < 1e-9 * (1.0 + b.abs()), "{a} {b}"));
-        // Eight like these three are known as well as all eight.
+        // Seven like three of these and the strongest are known as well as all eight.
         let ratio = part.covariance().unwrap()[(0, 0)] / fit.covariance().unwrap()[(0, 0)];
         assert!((0.5..2.0).contains(&ratio), "{ratio}");
     }

@@ -76,9 +76,9 @@ pub struct Forward<'a> {
     pub groups: Vec<Group>,
     /// Every record in order.
     pub records: Vec<At>,
-    /// Their places among the records of all events that there are, and their share of these.
+    /// Their places among the records of all events that there are, and how many of these each stands for.
     pub(super) kept: Vec<usize>,
-    pub(super) share: f64,
+    pub(super) stands_for: Vec<f64>,
     replay: &'a dyn Replay,
     pub(super) equivalent: Arc<Equivalent>,
     names: Vec<String>,
@@ -105,7 +105,7 @@ impl<'a> Forward<'a> {
         Self {
             problem,
             kept: (0..records.len()).collect(),
-            share: 1.0,
+            stands_for: vec![1.0; records.len()],
             records,
             groups,
             replay,
@@ -120,6 +120,11 @@ impl<'a> Forward<'a> {
     /// The same column and sensors with these groups, nothing replayed yet.
     pub(super) fn without_replays(&self, groups: Vec<Group>) -> Self {
         Self::of(self.problem, self.replay, self.equivalent.clone(), groups)
+    }
+
+    /// Records that its own stand for.
+    pub(super) fn n_record(&self) -> f64 {
+        self.stands_for.iter().sum()
     }
 
     /// Replays run so far.
@@ -184,7 +189,7 @@ impl<'a> Forward<'a> {
 
     /// The rough replay of its own events.
     fn rough(&self, shaken: &[Table]) -> Result<Motions> {
-        if self.share == 1.0 {
+        if self.stands_for.iter().all(|n| *n == 1.0) {
             return self.replay.replay_roughly(shaken);
         }
         let mut is_wanted = vec![false; self.problem.events.len()];

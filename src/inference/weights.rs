@@ -110,7 +110,7 @@ struct Record {
 pub struct Weights {
     records: Vec<Record>,
     /// Records that each of these stands for.
-    stands_for: f64,
+    stands_for: Vec<f64>,
     /// −ln of the density of the records where every residual is nothing: the same for all models that take the same channels for the
     /// same sensors.
     pub constant: f64,
@@ -156,15 +156,16 @@ impl Weights {
         let all: Vec<(Record, f64)> =
             indices.par_iter().map(|i| Self::of(forward, spread, *i, &prediction[*i])).collect();
         let (records, constants): (Vec<Record>, Vec<f64>) = all.into_iter().unzip();
-        let stands_for = 1.0 / forward.share;
-        Self { records, stands_for, constant: stands_for * constants.iter().sum::<f64>() }
+        let stands_for = forward.stands_for.clone();
+        let constant = constants.iter().zip(&stands_for).map(|(c, n)| n * c).sum();
+        Self { records, stands_for, constant }
     }
 
     fn of(forward: &Forward<'_>, spread: &Spread, index: usize, predicted: &Predicted) -> (Record, f64) {
         let at = forward.records[index];
         let f = forward.frequencies_hz(at);
         let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
-        let (n_sensor, n_record) = (predicted.outputs.len(), forward.records.len() as f64 / forward.share);
+        let (n_sensor, n_record) = (predicted.outputs.len(), forward.n_record());
         let level = spread.level * model_error(forward);
         let gain = gains(predicted, half);
         let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
@@ -225,9 +226,10 @@ impl Weights {
 
     /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
     pub fn rows(&self, prediction: &Prediction) -> Rows {
-        let factor = self.stands_for.sqrt();
-        let of = |(record, p): (&Record, &Predicted)| record.rows(p).into_iter().map(|r| factor * r).collect();
-        self.records.par_iter().zip(prediction).map(of).collect()
+        let of = |((record, p), n): ((&Record, &Predicted), &f64)| {
+            record.rows(p).into_iter().map(|r| n.sqrt() * r).collect()
+        };
+        self.records.par_iter().zip(prediction).zip(&self.stands_for).map(of).collect()
     }
 }
 
