@@ -3,8 +3,9 @@
 //! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node
 //! is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a
 //! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
-//! fitted with the column itself. The competition goes on around the best model, around it less each of its effects, and around what is
-//! nearly as probable, until that changes nothing; then what could be taken for each named effect is fitted in its place ([`rivals`]).
+//! fitted with the column itself. Of each model that comes to lead, what could be taken for its effects is fitted in their place
+//! ([`rivals`]). The competition goes on around the best model, around it less each of its effects, and around what is nearly as
+//! probable, until that changes nothing.
 //! What the records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of
 //! the channels, and the models under it are compared by that.
 
@@ -160,12 +161,9 @@ impl<'a> Competition<'a> {
                 self.round(labels, progress)?;
             }
         }
-        let mut rounds = 0;
-        loop {
+        for _ in 0..ROUNDS {
             let labels = self.best_named().labels().to_vec();
-            if rounds < ROUNDS && self.round(&labels, progress)? {
-                rounds += 1;
-            } else if !self.challenge(&labels, progress)? {
+            if !self.round(&labels, progress)? {
                 break;
             }
         }
@@ -177,6 +175,9 @@ impl<'a> Competition<'a> {
         self.renew_anchor(labels, Stop::CLOSE)?;
         self.renew_spread(labels, progress)?;
         self.renew_parts(labels)?;
+        if self.challenge(labels, progress)? {
+            return Ok(true);
+        }
         // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
         // would explain.
         let leading = self.leading(labels);
@@ -186,7 +187,7 @@ impl<'a> Competition<'a> {
         let least = self.log_posterior(leading) - WINDOW;
         let is_close =
             |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && self.log_posterior(fit) > least;
-        let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).collect();
+        let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).filter(|fit| !self.is_idle(fit)).collect();
         self.best_first(&mut close);
         // What is simpler first: it may do as well. Then the best, and what is nearly as probable, which may lead elsewhere.
         let simpler = (0..effects.len()).filter(keeps_labels).map(without);
@@ -195,6 +196,15 @@ impl<'a> Competition<'a> {
         let Some(next) = open.find(is_open) else { return Ok(false) };
         self.expand(next, progress)?;
         Ok(true)
+    }
+
+    /// Whether a model is no more probable than one of fewer of its effects: what else is in it leads nowhere.
+    ///
+    /// Source: Madigan and Raftery (1994), the second principle of Occam's window.
+    fn is_idle(&self, fit: &Fit<'a>) -> bool {
+        let has = |other: &Fit<'a>| other.model.effects.iter().all(|e| fit.model.index_of(e).is_some());
+        let is_simpler = |other: &&Fit<'a>| other.model.effects.len() < fit.model.effects.len() && has(other);
+        self.fits.iter().filter(is_simpler).any(|other| self.log_posterior(other) >= self.log_posterior(fit))
     }
 
     /// Recalibrates the declared model under every exchange of labels that does better than none where nothing is recalibrated: what was
@@ -221,12 +231,13 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
-    /// Fits to the end whatever counts for the answer.
+    /// Fits to the end whatever counts for the answer, what could be taken for its effects among it.
     fn settle(&mut self, progress: &dyn Progress) -> Result<()> {
         for _ in 0..SETTLINGS {
             let labels = self.best().labels().to_vec();
             self.renew_anchor(&labels, Stop::EXACT)?;
             self.renew_parts(&labels)?;
+            self.challenge(&labels, progress)?;
             let leading = self.best().model.effects.clone();
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {

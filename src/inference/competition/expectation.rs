@@ -91,6 +91,7 @@ impl<'a> Competition<'a> {
             let is_strained =
                 |set: &Vec<Instance>| fits.iter().any(|f| is_same_set(&f.model.effects, set) && f.is_strained());
             self.expanded.retain(is_strained);
+            self.challenged.clear();
         }
         Ok(())
     }
