@@ -7,8 +7,11 @@ use crate::registry;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+/// The name of its kind.
+pub const FREQUENCY_DEPENDENT_DAMPING: &str = "frequency_dependent_damping";
+
 pub(super) const ENTRY: Entry = Entry {
-    name: "frequency_dependent_damping",
+    name: FREQUENCY_DEPENDENT_DAMPING,
     about: "damping grows or falls with frequency: Rayleigh damping beyond the declared one, or a power of the frequency",
     build: |table| Ok(Box::new(registry::params::<FrequencyDependentDamping>(table)?.checked()?)),
     schema: || schemars::schema_for!(FrequencyDependentDamping),

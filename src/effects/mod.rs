@@ -44,6 +44,7 @@ mod unnamed_response;
 mod water_table;
 
 pub use catalogue::{Array, Catalogue, Class, Free, Instance, Parameter, Scale, place};
+pub use frequency_dependent_damping::FREQUENCY_DEPENDENT_DAMPING;
 pub use layer_velocity::LAYER_VELOCITY_LN;
 pub use layers::Laws;
 pub use observation::{Channels, Direction, Recording, depth_m, observe, operator};

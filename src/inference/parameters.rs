@@ -419,7 +419,7 @@ fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
     let fundamental_hz = column.frequency_hz();
     let ratio = column.small_strain_damping_ratio(fundamental_hz);
     let asked = Rayleigh::of_ratio(ratio, [TAU * fundamental_hz, 5.0 * TAU * fundamental_hz]);
-    let of = |name, deviation| Tolerance::new("frequency_dependent_damping", name, &[], deviation);
+    let of = |name, deviation| Tolerance::new(effects::FREQUENCY_DEPENDENT_DAMPING, name, &[], deviation);
     let share = Tolerance {
         beside: vec![("beta_s", asked.beta_s), ("ln_ratio", LEFT_LN)],
         bounds: [0.0, 1.0],

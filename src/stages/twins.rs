@@ -23,7 +23,7 @@ use toml::{Table, Value};
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 53);
+const TWIN: (&str, u32) = ("twin", 54);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -51,7 +51,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        51
+        52
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -177,6 +177,7 @@ impl Stand {
             cell: case.cell.clone(),
             number: case.number,
             truth: case.truth.effects.clone(),
+            besides: case.truth.kinds_besides(),
             outside: case.truth.outside.iter().filter_map(|t| Some(t.get("kind")?.as_str()?.to_string())).collect(),
             outside_repeats: case.truth.outside_repeats()?,
             verdict: diagnosis.verdict,

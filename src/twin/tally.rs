@@ -15,6 +15,9 @@ pub struct Outcome {
     pub number: usize,
     /// What held, as `[[effects]]`.
     pub truth: Vec<toml::Table>,
+    /// Kinds that hold in the truth's own column, at no strength that was drawn as an effect: naming one is neither asked for nor wrong.
+    #[serde(default)]
+    pub besides: Vec<String>,
     /// What held outside the catalogue.
     pub outside: Vec<String>,
     /// Whether part of that is the same in all events.
@@ -241,18 +244,22 @@ impl Outcome {
         }
     }
 
+    /// Whether a kind that was named does not hold.
+    fn is_false(&self, kind: &str) -> bool {
+        !self.nameable().contains(&kind) && !self.besides.iter().any(|known| known == kind)
+    }
+
     fn is_right(&self) -> bool {
         let (held, found) = (self.nameable(), Self::kinds(&self.found));
         let named = |kind: &&str| found.contains(kind) || self.ambiguity.iter().any(|k| k == kind);
         matches!(self.verdict, Verdict::Known | Verdict::Ambiguous)
             && !held.is_empty()
             && held.iter().all(named)
-            && (self.verdict == Verdict::Ambiguous || found.iter().all(|kind| held.contains(kind)))
+            && (self.verdict == Verdict::Ambiguous || !found.iter().any(|kind| self.is_false(kind)))
     }
 
     fn is_wrong(&self) -> bool {
-        let held = self.nameable();
-        self.verdict == Verdict::Known && Self::kinds(&self.found).iter().any(|kind| !held.contains(kind))
+        self.verdict == Verdict::Known && Self::kinds(&self.found).iter().any(|kind| self.is_false(kind))
     }
 
     fn rank(&self) -> Option<usize> {
@@ -340,6 +347,7 @@ mod tests {
             cell: "c".into(),
             number: 1,
             truth: tables(held),
+            besides: Vec::new(),
             outside: Vec::new(),
             outside_repeats: false,
             verdict,
@@ -386,6 +394,20 @@ mod tests {
         );
         assert_eq!(report.confusion["nothing"]["b"], 1);
         assert_eq!(report.confusion["a + b"]["a"], 1);
+    }
+
+    #[test]
+    fn what_holds_besides_is_neither_asked_for_nor_wrong_but_names_nothing_alone() {
+        let of = |held: &[&str], found: &[&str]| {
+            let named = Outcome { besides: vec!["b".into()], ..outcome(held, Verdict::Known, found, found) };
+            let Tally { right_class, wrong, null_alarms, .. } = Tally::of(&[&named]);
+            [right_class.hits, wrong.hits, null_alarms.hits]
+        };
+        assert_eq!(of(&["a"], &["a"]), [1, 0, 0]);
+        assert_eq!(of(&["a"], &["a", "b"]), [1, 0, 0]);
+        assert_eq!(of(&["a"], &["b"]), [0, 0, 0]);
+        assert_eq!(of(&["a"], &["a", "c"]), [0, 1, 0]);
+        assert_eq!(of(&[], &["b"]), [0, 0, 1]);
     }
 
     #[test]

@@ -202,6 +202,11 @@ impl Truth {
         outside::build_all(&self.outside).map(|_| ())
     }
 
+    /// Kinds that hold in its own column: a damping with frequencies of its own depends on frequency.
+    pub fn kinds_besides(&self) -> Vec<String> {
+        self.damping.iter().map(|_| effects::FREQUENCY_DEPENDENT_DAMPING.to_string()).collect()
+    }
+
     /// Whether part of what holds outside the catalogue is the same in all events.
     ///
     /// # Errors
