@@ -1,9 +1,12 @@
-//! Records that another finite-element program made of a column with nothing undeclared: what two programs differ by is no effect.
+//! Records that another finite-element program made of a column with nothing undeclared: what two programs differ by is no effect, and
+//! errors of sensors are told from it.
+//!
+//! All errors, in all events: `cargo test --release --test other_program -- --ignored --nocapture`.
 
 #[path = "support/diagnosed_site.rs"]
 mod diagnosed_site;
 
-use diagnosed_site::diagnosed;
+use diagnosed_site::{diagnosed, diagnosed_beside};
 use std::path::{Path, PathBuf};
 
 fn path(name: &str) -> PathBuf {
@@ -67,18 +70,124 @@ validation = ["LSST11", "LSST15"]
 test = ["LSST07"]
 "#;
 
-#[test]
-fn another_program_that_computes_the_same_column_lacks_nothing() {
-    let dir = path("../shared/records/opensees-null");
+/// The folder of records of the other program, if it is there.
+fn records(name: &str) -> Option<PathBuf> {
+    let dir = path("../shared/records").join(name);
     if !dir.is_dir() {
-        eprintln!("skipped: no records in ../shared/records/opensees-null");
-        return;
+        eprintln!("skipped: no records in {}", dir.display());
     }
+    dir.is_dir().then_some(dir)
+}
+
+/// The site with the law of its sand.
+fn site() -> String {
     let lotung = std::fs::read_to_string(path("configs/lotung.toml")).expect("a manifest");
     let lotung: toml::Table = toml::from_str(&lotung).expect("TOML");
     let law = lotung["law"]["silty_sand"].as_table().expect("a law");
-    let found = diagnosed(&format!("{OTHER_PROGRAM}[law.sand]\n{law}"), &dir);
+    format!("{OTHER_PROGRAM}[law.sand]\n{law}")
+}
+
+#[test]
+fn another_program_that_computes_the_same_column_lacks_nothing() {
+    let Some(dir) = records("opensees-null") else { return };
+    let found = diagnosed(&site(), &dir);
     assert_eq!(found["verdict"], "none", "{found:#}");
     // The two programs differ, and nothing that repeats is more than the declared error of a column.
     assert!(found["rest"]["verdict"] != "unnamed", "{}", found["rest"]);
+}
+
+/// What is wrong beside the other program, and what is to be named: kind, and parameter and value where it has one.
+struct Case {
+    about: &'static str,
+    records: &'static str,
+    /// `[[effects]]` put on the records.
+    errors: &'static str,
+    /// What is declared otherwise.
+    declared: Option<[&'static str; 2]>,
+    named: &'static [(&'static str, Option<(&'static str, f64)>)],
+}
+
+const ANISOTROPY: (&str, Option<(&str, f64)>) = ("directional_anisotropy", Some(("ln_velocity_difference", 0.2)));
+
+const CASES: [Case; 7] = [
+    Case { about: "nothing", records: "opensees-null", errors: "", declared: None, named: &[] },
+    Case { about: "anisotropy", records: "opensees-anisotropy", errors: "", declared: None, named: &[ANISOTROPY] },
+    Case {
+        about: "gain",
+        records: "opensees-null",
+        errors: "[[effects]]\nkind = 'sensor_gain'\nsensor = 'DHB6'\nln_gain = -0.163",
+        declared: None,
+        named: &[("sensor_gain", Some(("ln_gain", -0.163)))],
+    },
+    Case {
+        about: "clock",
+        records: "opensees-null",
+        errors: "[[effects]]\nkind = 'clock_offset'\nsensor = 'DHB11'\noffset_s = 0.025",
+        declared: None,
+        named: &[("clock_offset", Some(("offset_s", 0.025)))],
+    },
+    Case {
+        about: "depth",
+        records: "opensees-null",
+        errors: "",
+        // A measured motion cannot be read at another depth: what is declared is wrong.
+        declared: Some(["depth_m = 6.0\n", "depth_m = 4.5\n"]),
+        named: &[("sensor_depth", Some(("offset_m", 1.5)))],
+    },
+    Case {
+        about: "labels",
+        records: "opensees-null",
+        errors: "[[effects]]\nkind = 'swapped_channels'\nsensor = 'DHB11'\nwith = 'DHB6'",
+        declared: None,
+        named: &[("swapped_channels", None)],
+    },
+    Case {
+        about: "azimuth",
+        records: "opensees-anisotropy",
+        errors: "[[effects]]\nkind = 'sensor_orientation'\nsensor = 'FA1-5'\nazimuth_deg = 20.0",
+        declared: None,
+        named: &[ANISOTROPY, ("sensor_orientation", Some(("azimuth_deg", 20.0)))],
+    },
+];
+
+#[test]
+#[ignore = "about twenty minutes on two cores"]
+fn errors_of_sensors_are_named_beside_another_program() {
+    const EVENTS: [[&str; 2]; 3] = [
+        [
+            r#""LSST05", "LSST06", "LSST08", "LSST09", "LSST12""#,
+            r#""LSST05", "LSST06", "LSST08", "LSST09", "LSST10", "LSST12", "LSST13", "LSST18""#,
+        ],
+        [r#""LSST11", "LSST15""#, r#""LSST11", "LSST15", "LSST16""#],
+        [r#""LSST07""#, r#""LSST07", "LSST14", "LSST17""#],
+    ];
+    let all = EVENTS.iter().fold(site(), |site, [few, all]| site.replace(few, all));
+    let mut wrong = Vec::new();
+    for case in CASES {
+        let Some(dir) = records(case.records) else { return };
+        let mut site = all.clone();
+        if case.records == "opensees-anisotropy" {
+            site = site.replace(r#"components = ["EW"]"#, r#"components = ["EW", "NS"]"#);
+        }
+        if let Some([from, to]) = case.declared {
+            assert!(site.contains(from));
+            site = site.replacen(from, to, 1);
+        }
+        let found = diagnosed_beside(&site, &dir, case.errors);
+        let effects = found["effects"].as_array().expect("effects");
+        let is_right = |(kind, value): &(&str, Option<(&str, f64)>)| {
+            effects.iter().filter(|e| e["kind"] == *kind).any(|effect| {
+                value.is_none_or(|(parameter, value)| {
+                    let end = |i: usize| effect["parameters"][parameter]["ci95"][i].as_f64().unwrap_or(f64::NAN);
+                    end(0) <= value && value <= end(1)
+                })
+            })
+        };
+        println!("{}: {} {}", case.about, found["verdict"], found["effects"]);
+        let verdict = if case.named.is_empty() { "none" } else { "known" };
+        if found["verdict"] != verdict || effects.len() != case.named.len() || !case.named.iter().all(is_right) {
+            wrong.push(case.about);
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:?}");
 }

@@ -286,7 +286,8 @@ impl<'a> Answer<'_, 'a> {
         let groups: Vec<usize> = self.forward.records.iter().map(|at| at.group).collect();
         let highest = self.competition.log_posterior(fit);
         let odds = |other: &Fit<'_>| (self.competition.log_posterior(other) - highest).exp();
-        let close = self.competition.fits.iter().filter(|other| odds(other) > NOTHING);
+        let all = self.competition.fits.iter().chain(&self.competition.modes);
+        let close = all.filter(|other| odds(other) > NOTHING);
         close.map(|other| Member { fit: other, odds: odds(other), half_widths: half_widths(other, &groups) }).collect()
     }
 

@@ -4,12 +4,14 @@
 //! is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a
 //! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
 //! fitted with the column itself. Of each model that comes to lead, what could be taken for its effects is fitted in their place
-//! ([`rivals`]). The competition goes on around the best model, around it less each of its effects, and around what is nearly as
-//! probable, until that changes nothing.
+//! ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere ([`modes`]). The
+//! competition goes on around the best model, around it less each of its effects, and around whatever is not out of the question, until
+//! that changes nothing.
 //! What the records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of
 //! the channels, and the models under it are compared by that.
 
 mod expectation;
+mod modes;
 mod prior;
 mod proposals;
 mod rivals;
@@ -38,14 +40,15 @@ const FINALS: usize = 6;
 const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
-/// ln of the odds against the best within which models are fitted to all events and kept when what is expected of residuals has changed.
+/// ln of the odds against the best within which models are fitted to all events, kept when what is expected of residuals has changed, and
+/// looked around for candidates.
 const FAR: f64 = 30.0;
-/// The same within which candidates are looked for around a model, and models fitted to the end: odds of 20 to 1.
+/// The same within which models are fitted to the end: odds of 20 to 1.
 ///
 /// Source: Madigan and Raftery (1994), doi 10.1080/01621459.1994.10476894, Occam's window.
 const WINDOW: f64 = 3.0;
 /// Most rounds of the competition, and rounds under each of the labels that may be right.
-const ROUNDS: usize = 12;
+const ROUNDS: usize = 24;
 const LABEL_ROUNDS: usize = 2;
 /// Most rounds at the end.
 const SETTLINGS: usize = 3;
@@ -64,8 +67,11 @@ pub struct Competition<'a> {
     max_effects: usize,
     /// Everything that was fitted, what is declared first.
     pub fits: Vec<Fit<'a>>,
+    /// Other modes of the posterior of the most probable model.
+    pub modes: Vec<Fit<'a>>,
     expanded: Vec<Vec<Instance>>,
     challenged: Vec<Vec<Instance>>,
+    explored: Vec<Vec<Instance>>,
 }
 
 impl<'a> Competition<'a> {
@@ -82,8 +88,10 @@ impl<'a> Competition<'a> {
             ln_prior,
             max_effects,
             fits: vec![declared],
+            modes: Vec::new(),
             expanded: Vec::new(),
             challenged: Vec::new(),
+            explored: Vec::new(),
         }
     }
 
@@ -175,7 +183,8 @@ impl<'a> Competition<'a> {
         self.renew_anchor(labels, Stop::CLOSE)?;
         self.renew_spread(labels, progress)?;
         self.renew_parts(labels)?;
-        if self.challenge(labels, progress)? {
+        self.exchange_modes(labels)?;
+        if self.explore(labels, progress)? || self.challenge(labels, progress)? {
             return Ok(true);
         }
         // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
@@ -184,12 +193,13 @@ impl<'a> Competition<'a> {
         let effects = &leading.model.effects;
         let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();
         let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
-        let least = self.log_posterior(leading) - WINDOW;
+        // Odds against the best change by more than Occam's window once what is expected of residuals is read off beside another model.
+        let least = self.log_posterior(leading) - FAR;
         let is_close =
             |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && self.log_posterior(fit) > least;
         let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).filter(|fit| !self.is_idle(fit)).collect();
         self.best_first(&mut close);
-        // What is simpler first: it may do as well. Then the best, and what is nearly as probable, which may lead elsewhere.
+        // What is simpler first: it may do as well. Then the best, and what is less probable, which may lead elsewhere.
         let simpler = (0..effects.len()).filter(keeps_labels).map(without);
         let mut open = simpler.chain(close.into_iter().map(|fit| fit.model.effects.clone()));
         let is_open = |set: &Vec<Instance>| !has_set(&self.expanded, set);
@@ -237,7 +247,10 @@ impl<'a> Competition<'a> {
             let labels = self.best().labels().to_vec();
             self.renew_anchor(&labels, Stop::EXACT)?;
             self.renew_parts(&labels)?;
+            self.exchange_modes(&labels)?;
             self.challenge(&labels, progress)?;
+            self.explored.clear();
+            self.explore(&labels, progress)?;
             let leading = self.best().model.effects.clone();
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {

@@ -23,9 +23,20 @@ window = 5
 
 /// `loop.json` of the manifest `site`, with records from `records_dir`, run from nothing.
 pub fn diagnosed(site: &str, records_dir: &Path) -> serde_json::Value {
+    diagnosed_beside(site, records_dir, "")
+}
+
+/// The same with the `[[effects]]` of sensors in `errors` put on the records.
+pub fn diagnosed_beside(site: &str, records_dir: &Path, errors: &str) -> serde_json::Value {
     let place = tempfile::tempdir().expect("a folder");
     let mut manifest: toml::Table = toml::from_str(&format!("{site}{REST}")).expect("TOML");
-    manifest["records"].as_table_mut().expect("a table").insert("dir".into(), records_dir.display().to_string().into());
+    let records = manifest["records"].as_table_mut().expect("a table");
+    records.insert("dir".into(), records_dir.display().to_string().into());
+    if !errors.is_empty() {
+        records.insert("truth".into(), "truth.toml".into());
+        let truth = format!("about = \"errors of sensors\"\nsite = \"site.toml\"\nseed = 1\n{errors}");
+        std::fs::write(place.path().join("truth.toml"), truth).expect("written");
+    }
     let (name, path) = (manifest["name"].as_str().expect("a name").to_string(), place.path().join("site.toml"));
     std::fs::write(&path, manifest.to_string()).expect("written");
     let mut command = assert_cmd::Command::cargo_bin("flare-pipe").expect("the program is built");

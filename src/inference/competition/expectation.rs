@@ -64,6 +64,7 @@ impl<'a> Competition<'a> {
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
         let reference = self.fitter.predict(&best.model, &best.x)?;
         self.fitter = self.fitter.expecting(Expected { spread: found, reference });
+        self.modes.clear();
         let own = best.model.effects;
         let is_own = |fit: &Fit<'a>| fit.labels() == labels;
         let old = std::mem::take(&mut self.fits);
@@ -92,6 +93,7 @@ impl<'a> Competition<'a> {
                 |set: &Vec<Instance>| fits.iter().any(|f| is_same_set(&f.model.effects, set) && f.is_strained());
             self.expanded.retain(is_strained);
             self.challenged.clear();
+            self.explored.clear();
         }
         Ok(())
     }

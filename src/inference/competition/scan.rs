@@ -93,6 +93,11 @@ impl<'a> Ground<'a> {
         let (model, x) = self.with(instance, at);
         self.by.fit(Start::at(model, x), Stop::ON_THE_WAY).ok()
     }
+
+    /// The fit of its own model from `x`.
+    pub(super) fn fitted_from(&self, x: Vec<f64>) -> Option<Fit<'a>> {
+        self.by.fit(Start::at(self.model.clone(), x), Stop::ON_THE_WAY).ok()
+    }
 }
 
 #[cfg(test)]

@@ -75,7 +75,8 @@ impl Ensemble<'_> {
         let n_distinct = distinct.len();
         let mut jobs: Vec<Job> = distinct.into_values().filter(|job| !self.is_done(job)).collect();
         jobs.sort_by_key(|job| job.index);
-        if jobs.len() < n_distinct {
+        // Of a single item the stage itself says more.
+        if n_distinct > 1 && jobs.len() < n_distinct {
             self.progress.note(&format!("{} of {n_distinct} {kind} items from the cache", n_distinct - jobs.len()));
         }
         if !jobs.is_empty() {
