@@ -5,8 +5,8 @@
 //! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
 //! fitted with the column itself. Of each model that comes to lead, what could be taken for its effects is fitted in their place
 //! ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere ([`modes`]). The
-//! competition goes on around the best model, around it less each of its effects, and around whatever is not out of the question, until
-//! that changes nothing.
+//! competition goes on around the best model, around it less each of its effects, and around what is nearly as probable, until that
+//! changes nothing.
 //! What the records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of
 //! the channels, and the models under it are compared by that.
 
@@ -41,9 +41,9 @@ const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
 /// ln of the odds against the best within which models are fitted to all events, kept when what is expected of residuals has changed, and
-/// looked around for candidates.
+/// looked around for candidates where a posterior has several modes.
 const FAR: f64 = 30.0;
-/// The same within which models are fitted to the end: odds of 20 to 1.
+/// The same within which candidates are looked for around a model where it has one, and models fitted to the end: odds of 20 to 1.
 ///
 /// Source: Madigan and Raftery (1994), doi 10.1080/01621459.1994.10476894, Occam's window.
 const WINDOW: f64 = 3.0;
@@ -193,8 +193,8 @@ impl<'a> Competition<'a> {
         let effects = &leading.model.effects;
         let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();
         let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
-        // Odds against the best change by more than Occam's window once what is expected of residuals is read off beside another model.
-        let least = self.log_posterior(leading) - FAR;
+        // Where there may be other modes, odds are known no better than these.
+        let least = self.log_posterior(leading) - if self.has_modes() { FAR } else { WINDOW };
         let is_close =
             |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && self.log_posterior(fit) > least;
         let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).filter(|fit| !self.is_idle(fit)).collect();
