@@ -368,41 +368,19 @@ impl<'a> Competition<'a> {
         base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
     }
 
-    /// Fits from `start` and keeps that.
-    fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) {
-        let Ok(found) = self.fitter.fit(start, Stop::CLOSE) else { return };
+    /// Fits from `start` and keeps that; what was found, if anything.
+    fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) -> Option<Fit<'a>> {
+        let found = self.fitter.fit(start, Stop::CLOSE).ok()?;
         progress.note(&self.described(&found));
-        self.keep(found);
-    }
-
-    /// Fits parts of the best model under `labels` anew that do better from where it is: what ended on the way there is no match for it.
-    fn renew_parts(&mut self, labels: &[usize]) -> Result<()> {
-        loop {
-            let best = self.leading(labels).model.effects.clone();
-            for part in (0..best.len()).map(|i| [&best[..i], &best[i + 1..]].concat()) {
-                let Some(index) = self.known(&part) else { continue };
-                let start = self.part(&part);
-                let there = self.fitter.cost_at(&start.model, start.x.clone());
-                if there.is_ok_and(|cost| cost < self.fits[index].cost) {
-                    let fit = self.fitter.fit(start, Stop::CLOSE)?;
-                    self.keep(fit);
-                }
-            }
-            if is_same_set(&best, &self.leading(labels).model.effects) {
-                return Ok(());
-            }
-        }
+        self.keep(found.clone());
+        Some(found)
     }
 
     /// Where a fit with `effects` starts: where the most probable model of named effects is that has all of them.
     fn part(&self, effects: &[Instance]) -> Start<'a> {
         let has_all = |fit: &Fit<'a>| fit.model.is_named() && effects.iter().all(|e| fit.model.index_of(e).is_some());
         let best = self.best_of(has_all).unwrap_or(&self.fits[0]);
-        let mut x = best.x[..best.model.declared.len()].to_vec();
-        for effect in effects {
-            let own = best.model.index_of(effect).map(|i| best.model.coordinates_of(i));
-            x.extend(own.map_or_else(|| effect.start(), |own| best.x[own].to_vec()));
-        }
+        let x = coordinates(best, effects, |i| effects[i].start());
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
         let slopes = Self::slopes_of(best, &model);
         Start::at(model, x).carrying(slopes, best)
@@ -438,6 +416,16 @@ impl<'a> Competition<'a> {
         let gained = self.log_posterior(fit) - self.log_posterior(&self.fits[0]);
         format!("{}: ln odds {gained:+.1} against nothing missing; {}", named.join("+ "), self.replays())
     }
+}
+
+/// Coordinates of a model of `effects` as in `from`, and `otherwise` those of effects that it does not have.
+fn coordinates(from: &Fit<'_>, effects: &[Instance], otherwise: impl Fn(usize) -> Vec<f64>) -> Vec<f64> {
+    let of = |(i, effect): (usize, &Instance)| match from.model.index_of(effect) {
+        Some(index) => from.x[from.model.coordinates_of(index)].to_vec(),
+        None => otherwise(i),
+    };
+    let declared = from.x[..from.model.declared.len()].iter().copied();
+    declared.chain(effects.iter().enumerate().flat_map(of)).collect()
 }
 
 /// Whether two sets hold the same effects in any order.

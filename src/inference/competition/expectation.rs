@@ -64,7 +64,6 @@ impl<'a> Competition<'a> {
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
         let reference = self.fitter.predict(&best.model, &best.x)?;
         self.fitter = self.fitter.expecting(Expected { spread: found, reference });
-        self.modes.clear();
         let own = best.model.effects;
         let is_own = |fit: &Fit<'a>| fit.labels() == labels;
         let old = std::mem::take(&mut self.fits);

@@ -1,9 +1,8 @@
-//! A posterior with several modes: where what is declared may be so far off that waves arrive by a part of their period earlier or later,
-//! the fit that a start leads to is one of many.
+//! Fits from elsewhere: from where other models ended, and, where what is declared may be so far off that waves arrive by a part of their
+//! period earlier or later, from draws of the prior: the posterior then has several modes, and the fit that a start leads to is one of many.
 
 use super::scan::Ground;
-use super::{Competition, FAR, has_set};
-use crate::effects::Instance;
+use super::{Competition, FAR, coordinates, has_set, is_same_set};
 use crate::error::Result;
 use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Start, Stop};
@@ -40,6 +39,7 @@ impl<'a> Competition<'a> {
             return Ok(false);
         }
         self.explored.push(leading.model.effects.clone());
+        self.modes.clear();
         let by = self.few.fitter(&self.fitter);
         let own = self.few.of(&by, &leading)?;
         let Some(ground) = Ground::declared(&by, own.model.clone(), own.x.clone()) else { return Ok(false) };
@@ -49,19 +49,16 @@ impl<'a> Competition<'a> {
         self.best_first(&mut found);
         let mut found = Self::replayed(&by, &found.iter().take(REPLAYED).collect::<Vec<_>>());
         self.best_first(&mut found);
-        self.modes = vec![leading.clone()];
         let least = self.log_posterior(&own) - FAR;
         found.retain(|fit| self.log_posterior(fit) > least);
+        let mut modes = vec![leading.clone()];
         for fit in found.into_iter().take(FITTED) {
-            let model = Model { declared: leading.model.declared, effects: fit.model.effects };
-            let Ok(fit) = self.fitter.fit(Start::at(model, fit.x), Stop::CLOSE) else { continue };
-            progress.note(&self.described(&fit));
-            self.modes.push(fit.clone());
-            self.keep(fit);
+            modes.extend(self.finish(Start::at(leading.model.clone(), fit.x), progress));
         }
-        let best = self.known(&leading.model.effects).map(|i| self.fits[i].clone());
-        let is_better = best.as_ref().is_some_and(|best| self.log_posterior(best) > self.log_posterior(&leading));
-        self.modes.retain(|mode| best.as_ref().is_some_and(|best| !Self::is_near(best, mode)));
+        let best = self.known(&leading.model.effects).map_or(&leading, |i| &self.fits[i]);
+        modes.retain(|mode| !Self::is_near(best, mode));
+        let is_better = self.log_posterior(best) > self.log_posterior(&leading);
+        self.modes = modes;
         Ok(is_better)
     }
 
@@ -74,33 +71,39 @@ impl<'a> Competition<'a> {
         let least = self.log_posterior(&leading) - FAR;
         let is_close = |fit: &&Fit<'a>| fit.labels() == labels && self.log_posterior(fit) > least;
         let close: Vec<Fit<'a>> = self.fits.iter().filter(is_close).cloned().collect();
-        for fit in &close {
-            self.follow(fit, &leading)?;
-            self.follow(&leading, fit)?;
+        for fit in close.iter().filter(|fit| !is_same_set(&fit.model.effects, &leading.model.effects)) {
+            for [to, from] in [[fit, &leading], [&leading, fit]] {
+                let x = coordinates(from, &to.model.effects, |i| to.x[to.model.coordinates_of(i)].to_vec());
+                self.fit_where_better(Start::at(to.model.clone(), x))?;
+            }
         }
         Ok(())
     }
 
-    /// Fits the model of `to` anew from the declared values of `from` if it does better there.
-    fn follow(&mut self, to: &Fit<'a>, from: &Fit<'a>) -> Result<()> {
-        let x = moved(to, from);
-        let Some(index) = self.known(&to.model.effects) else { return Ok(()) };
-        if self.fitter.cost_at(&to.model, x.clone()).is_ok_and(|cost| cost < self.fits[index].cost) {
-            let fit = self.fitter.fit(Start::at(to.model.clone(), x), Stop::CLOSE)?;
+    /// Fits parts of the best model under `labels` anew that do better from where it is: what ended on the way there is no match for it.
+    pub(super) fn renew_parts(&mut self, labels: &[usize]) -> Result<()> {
+        loop {
+            let best = self.leading(labels).model.effects.clone();
+            for part in (0..best.len()).map(|i| [&best[..i], &best[i + 1..]].concat()) {
+                if self.known(&part).is_some() {
+                    self.fit_where_better(self.part(&part))?;
+                }
+            }
+            if is_same_set(&best, &self.leading(labels).model.effects) {
+                return Ok(());
+            }
+        }
+    }
+
+    /// Fits a known model anew from `start` if it does better there than where it is.
+    fn fit_where_better(&mut self, start: Start<'a>) -> Result<()> {
+        let Some(index) = self.known(&start.model.effects) else { return Ok(()) };
+        if self.fitter.cost_at(&start.model, start.x.clone()).is_ok_and(|cost| cost < self.fits[index].cost) {
+            let fit = self.fitter.fit(start, Stop::CLOSE)?;
             self.keep(fit);
         }
         Ok(())
     }
-}
-
-/// Coordinates of `to` with what is declared, and the effects that both have, as in `from`.
-fn moved(to: &Fit<'_>, from: &Fit<'_>) -> Vec<f64> {
-    let n = to.model.declared.len();
-    let of = |(index, effect): (usize, &Instance)| match from.model.index_of(effect) {
-        Some(other) => from.x[from.model.coordinates_of(other)].to_vec(),
-        None => to.x[to.model.coordinates_of(index)].to_vec(),
-    };
-    from.x[..n].iter().copied().chain(to.model.effects.iter().enumerate().flat_map(of)).collect()
 }
 
 /// Coordinates of `model` with what is declared drawn from its prior, and effects as at `x`.
