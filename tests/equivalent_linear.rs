@@ -2,7 +2,7 @@
 
 use flare_pipe::column::{Analysis, BaseMotion, Column, Features, Layer, Profile, Rayleigh, Vertical};
 use flare_pipe::dataset::sensor_histories;
-use flare_pipe::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Tuning};
+use flare_pipe::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Tuning, Wanted};
 use flare_pipe::motion::{self, Band, MotionSettings};
 use flare_pipe::numerics::grid::Grid;
 use flare_pipe::numerics::resample::resample_band_limited;
@@ -66,7 +66,8 @@ fn transfer_miss(case: &Case<'_>, elements: usize) -> f64 {
     let column = EquivalentColumn::new(&case.profile, elements, &Curves::default()).unwrap();
     let column = if case.is_dispersive { column } else { column.without_dispersion() };
     let grid = Grid::around(0.2, 10.0, column.grid_step_hz());
-    let march = column.march(grid, &vec![1e-5; column.n_element()], &[0.0], &Tuning::default());
+    let march =
+        column.march(grid, &vec![1e-5; column.n_element()], Wanted::Motions { depths_m: &[0.0] }, &Tuning::default());
     let mut worst = 0.0f64;
     for f in [0.33, 0.5, 1.0, 2.02, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 9.9] {
         let mut ours = [C64::default()];
@@ -104,19 +105,22 @@ fn elastic_layers_match_the_exact_transfer_function_and_converge_with_the_square
 
 #[test]
 fn strains_are_those_of_the_marched_motion() {
-    let profile = plain(vec![layer(10.0, 1900.0, 150.0)]);
-    let column = EquivalentColumn::new(&profile, 100, &Curves::default()).unwrap();
-    let grid = Grid::around(0.2, 10.0, column.grid_step_hz());
-    let depths: Vec<f64> = vec![5.0, 5.1];
-    let march = column.march(grid, &vec![1e-5; column.n_element()], &depths, &Tuning::default());
-    let (f, u) = (2.2, C64::new(0.01, 0.002));
-    let mut motion = [C64::default(); 2];
-    march.response(f, &mut motion);
-    let expected = ((motion[1] - motion[0]) * u).norm() / 0.1;
-    let norm = march.strain_norm(&[f], &[u]);
-    let found = norm[(5.05 / 0.1) as usize];
-    println!("strain {found:.4e}, from the motion {expected:.4e}");
-    assert!((found / expected - 1.0).abs() < 0.02);
+    for alpha_1_s in [0.0, 2.0] {
+        let rayleigh = Rayleigh { alpha_1_s, ..Rayleigh::default() };
+        let profile = Profile { rayleigh, ..plain(vec![layer(10.0, 1900.0, 150.0)]) };
+        let column = EquivalentColumn::new(&profile, 100, &Curves::default()).unwrap();
+        let grid = Grid::around(0.2, 10.0, column.grid_step_hz());
+        let depths: Vec<f64> = vec![5.0, 5.1];
+        let march = |wanted| column.march(grid, &vec![1e-5; column.n_element()], wanted, &Tuning::default());
+        let (f, u) = (2.2, C64::new(0.01, 0.002));
+        let mut motion = [C64::default(); 2];
+        march(Wanted::Motions { depths_m: &depths }).response(f, &mut motion);
+        let expected = ((motion[1] - motion[0]) * u).norm() / 0.1;
+        let norm = march(Wanted::Strains).strain_norm(&[f], &[u]);
+        let found = norm[(5.05 / 0.1) as usize];
+        println!("strain {found:.4e}, from the motion {expected:.4e}");
+        assert!((found / expected - 1.0).abs() < 0.02);
+    }
 }
 
 /// Time step of the records, s.

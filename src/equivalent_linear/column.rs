@@ -6,6 +6,7 @@ use super::tuning::Tuning;
 use crate::column::{Analysis, Column, Downgoing, Features, Profile, Slice, Structure};
 use crate::error::Result;
 use crate::numerics::grid::{Cubic, Grid};
+use crate::numerics::lanes::{Lane, WIDEST, Width, on_lanes};
 use crate::soil::{N_BODY, Point, Rate, Relaxation, Softening, bodies};
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
@@ -19,6 +20,21 @@ const PER_WAVE: f64 = 18.0;
 const MAX_ELEMENTS: usize = 120;
 /// Places of a layer at which its curve is measured, at most.
 const PLACES: usize = 3;
+
+/// Products of the strains of U_h and U_p that make up the strain of their sum.
+const PRODUCTS: usize = 4;
+
+/// What a march is for.
+#[derive(Debug, Clone, Copy)]
+pub enum Wanted<'d> {
+    /// Motions.
+    Motions {
+        /// At these depths, m.
+        depths_m: &'d [f64],
+    },
+    /// Strains of the elements.
+    Strains,
+}
 
 /// Lumped masses and equivalent-linear elements.
 ///
@@ -161,8 +177,17 @@ impl EquivalentColumn {
     }
 
     /// Marches the column on `grid` with effective strains `gamma`, one an element, its soil tuned.
-    pub fn march(&self, grid: Grid, gamma: &[f64], depths_m: &[f64], tuning: &Tuning) -> March {
+    pub fn march(&self, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
+        marched(Width::widest(), self, grid, gamma, wanted, tuning)
+    }
+
+    #[inline(always)]
+    fn marched(&self, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
         let n = grid.count;
+        let (depths_m, has_strains) = match wanted {
+            Wanted::Motions { depths_m } => (depths_m, false),
+            Wanted::Strains => (&[][..], true),
+        };
         let omega: Vec<f64> = (0..n).map(|k| TAU * grid.frequency(k)).collect();
         let is_compliant = self.mass.len() > self.elements.len();
         let is_damped = is_compliant || self.damping.iter().any(|c| *c > 0.0);
@@ -179,10 +204,10 @@ impl EquivalentColumn {
             downgoing: self.downgoing.clone(),
             base: [Vec::new(), Vec::new()],
             sensors: vec![[vec![C64::default(); n], vec![C64::default(); n]]; depths_m.len()],
-            strain: [vec![C64::default(); n * self.elements.len()], Vec::new()],
+            strain: Vec::new(),
         };
-        if is_damped {
-            march.strain[1] = march.strain[0].clone();
+        if has_strains {
+            march.strain.reserve(self.elements.len() * n * if is_damped { PRODUCTS } else { 1 });
         }
         for i in 0..=self.elements.len() {
             for (sensor, (node, share)) in march.sensors.iter_mut().zip(&rows) {
@@ -209,10 +234,12 @@ impl EquivalentColumn {
             stiffness.scale(modulus, 2.0 * damping * modulus);
             stiffness.add(element.container_pa, element.beta_s * element.shear_modulus_pa, &omega);
             let node = [self.mass[i], self.damping[i]];
-            let slot = i * n..(i + 1) * n;
-            homogeneous.step(&omega, node, 0.0, &stiffness, element.height_m, &mut march.strain[0][slot.clone()]);
+            homogeneous.step(&omega, node, 0.0, &stiffness, element.height_m);
             if is_damped {
-                particular.step(&omega, node, 1.0, &stiffness, element.height_m, &mut march.strain[1][slot]);
+                particular.step(&omega, node, 1.0, &stiffness, element.height_m);
+            }
+            if has_strains {
+                march.add_strains([&homogeneous, &particular]);
             }
         }
         if let (true, Some(mass), Some(damping)) = (is_compliant, self.mass.last(), self.damping.last()) {
@@ -246,6 +273,43 @@ impl EquivalentColumn {
     }
 }
 
+fn marched(
+    width: Width,
+    column: &EquivalentColumn,
+    grid: Grid,
+    gamma: &[f64],
+    wanted: Wanted<'_>,
+    tuning: &Tuning,
+) -> March {
+    on_lanes!(width, march(column: &EquivalentColumn, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March)
+}
+
+/// As wide as the compiler makes it: the same operations on every width.
+#[inline(always)]
+fn march<L: Lane>(column: &EquivalentColumn, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
+    column.marched(grid, gamma, wanted, tuning)
+}
+
+/// Root of Σ x w, at least nothing.
+fn weighted(width: Width, x: &[f64], weights: &[f64]) -> f64 {
+    on_lanes!(width, root_of_sum(x: &[f64], weights: &[f64]) -> f64)
+}
+
+/// The sum is taken in as many parts as the widest registers have, on every width.
+#[inline(always)]
+fn root_of_sum<L: Lane>(x: &[f64], weights: &[f64]) -> f64 {
+    let (x, x_rest) = x.as_chunks::<WIDEST>();
+    let (weights, weights_rest) = weights.as_chunks::<WIDEST>();
+    let mut sums = [0.0; WIDEST];
+    for (x, w) in x.iter().zip(weights) {
+        for lane in 0..WIDEST {
+            sums[lane] += x[lane] * w[lane];
+        }
+    }
+    let rest = x_rest.iter().zip(weights_rest).map(|(x, w)| x * w).sum::<f64>();
+    (sums.iter().sum::<f64>() + rest).max(0.0).sqrt()
+}
+
 /// The springs of every relaxation on a grid: real and imaginary parts, spring after spring.
 struct Springs([[Vec<f64>; 2]; N_BODY]);
 
@@ -264,12 +328,14 @@ struct Stiffness {
 
 impl Stiffness {
     /// A real constant.
+    #[inline(always)]
     fn start(&mut self, value: f64) {
         self.re.fill(value);
         self.im.fill(0.0);
     }
 
     /// K of a relaxation; without dispersion over its real part.
+    #[inline(always)]
     fn relax(&mut self, relaxation: &Relaxation, springs: &Springs, is_dispersive: bool) {
         self.start(relaxation.rest);
         for (weight, [spring_re, spring_im]) in relaxation.weights.iter().zip(&springs.0) {
@@ -287,6 +353,7 @@ impl Stiffness {
     }
 
     /// Times a complex constant.
+    #[inline(always)]
     fn scale(&mut self, factor_re: f64, factor_im: f64) {
         for (re, im) in self.re.iter_mut().zip(&mut self.im) {
             (*re, *im) = (factor_re * *re - factor_im * *im, factor_re * *im + factor_im * *re);
@@ -294,6 +361,7 @@ impl Stiffness {
     }
 
     /// A spring and a dashpot in parallel.
+    #[inline(always)]
     fn add(&mut self, spring_pa: f64, dashpot_pa_s: f64, omega: &[f64]) {
         for ((re, im), w) in self.re.iter_mut().zip(&mut self.im).zip(omega) {
             *re += spring_pa;
@@ -306,11 +374,14 @@ impl Stiffness {
 struct Wave {
     u: [Vec<f64>; 2],
     tau: [Vec<f64>; 2],
+    /// Of the element last passed.
+    gamma: [Vec<f64>; 2],
 }
 
 impl Wave {
     fn new(n: usize, start: [f64; 2]) -> Self {
-        Self { u: [vec![start[0]; n], vec![start[1]; n]], tau: [vec![0.0; n], vec![0.0; n]] }
+        let zero = || [vec![0.0; n], vec![0.0; n]];
+        Self { u: [vec![start[0]; n], vec![start[1]; n]], tau: zero(), gamma: zero() }
     }
 
     /// The inertia of a structure on the surface: τ = −m_s ω² T U, T its transmissibility.
@@ -344,6 +415,7 @@ impl Wave {
         self.u[0].iter().zip(&self.u[1]).map(|(re, im)| C64::new(*re, *im)).collect()
     }
 
+    #[inline(always)]
     fn add_to(&self, sum: &mut [C64], weight: f64) {
         for ((sum, re), im) in sum.iter_mut().zip(&self.u[0]).zip(&self.u[1]) {
             *sum += C64::new(weight * re, weight * im);
@@ -351,31 +423,23 @@ impl Wave {
     }
 
     /// One node and the element below it: (1) and (2).
-    fn step(
-        &mut self,
-        omega: &[f64],
-        [mass, damping]: [f64; 2],
-        source: f64,
-        stiffness: &Stiffness,
-        height_m: f64,
-        strain: &mut [C64],
-    ) {
-        let [ur, ui] = &mut self.u;
-        let [tr, ti] = &mut self.tau;
+    #[inline(always)]
+    fn step(&mut self, omega: &[f64], [mass, damping]: [f64; 2], source: f64, stiffness: &Stiffness, height_m: f64) {
         let n = omega.len();
+        let [ur, ui] = self.u.each_mut().map(|x| &mut x[..n]);
+        let [tr, ti] = self.tau.each_mut().map(|x| &mut x[..n]);
+        let [gr, gi] = self.gamma.each_mut().map(|x| &mut x[..n]);
         let (re, im) = (&stiffness.re[..n], &stiffness.im[..n]);
-        let (ur, ui, tr, ti, strain) = (&mut ur[..n], &mut ui[..n], &mut tr[..n], &mut ti[..n], &mut strain[..n]);
         for k in 0..n {
             let w = omega[k];
             let (m, c) = (w * w * mass, w * damping);
             tr[k] -= m * ur[k] + c * ui[k];
             ti[k] += c * (ur[k] - source) - m * ui[k];
             let scale = 1.0 / (re[k] * re[k] + im[k] * im[k]);
-            let sr = (tr[k] * re[k] + ti[k] * im[k]) * scale;
-            let si = (ti[k] * re[k] - tr[k] * im[k]) * scale;
-            ur[k] += height_m * sr;
-            ui[k] += height_m * si;
-            strain[k] = C64::new(sr, si);
+            gr[k] = (tr[k] * re[k] + ti[k] * im[k]) * scale;
+            gi[k] = (ti[k] * re[k] - tr[k] * im[k]) * scale;
+            ur[k] += height_m * gr[k];
+            ui[k] += height_m * gi[k];
         }
     }
 }
@@ -391,8 +455,8 @@ pub struct March {
     base: [Vec<C64>; 2],
     /// U_h and U_p at each sensor.
     sensors: Vec<[Vec<C64>; 2]>,
-    /// Strains of U_h and U_p, element after element.
-    strain: [Vec<C64>; 2],
+    /// |γ_h|² of every frequency, element after element, each followed by Re and Im of γ_h γ_p* and by |γ_p|² where there is a U_p.
+    strain: Vec<f64>,
 }
 
 impl March {
@@ -421,35 +485,38 @@ impl March {
         }
     }
 
-    /// Root of the sum of |γ|² over the bins, element by element, for base displacements `u` at `frequencies_hz`.
+    /// Products of the strains of an element.
+    #[inline(always)]
+    fn add_strains(&mut self, [homogeneous, particular]: [&Wave; 2]) {
+        let n = self.grid.count;
+        let [hr, hi] = homogeneous.gamma.each_ref().map(|x| &x[..n]);
+        self.strain.extend((0..n).map(|k| hr[k] * hr[k] + hi[k] * hi[k]));
+        if self.is_damped {
+            let [pr, pi] = particular.gamma.each_ref().map(|x| &x[..n]);
+            self.strain.extend((0..n).map(|k| hr[k] * pr[k] + hi[k] * pi[k]));
+            self.strain.extend((0..n).map(|k| hi[k] * pr[k] - hr[k] * pi[k]));
+            self.strain.extend((0..n).map(|k| pr[k] * pr[k] + pi[k] * pi[k]));
+        }
+    }
+
+    /// Root of the sum of |γ|² over the bins, element by element, for base displacements `u` at `frequencies_hz`; of a march for strains.
     pub fn strain_norm(&self, frequencies_hz: &[f64], u: &[C64]) -> Vec<f64> {
         let n = self.grid.count;
-        let mut weights = vec![[0.0; 4]; n];
+        let products = if self.is_damped { PRODUCTS } else { 1 };
+        let mut weights = vec![0.0; products * n];
         for (f, u) in frequencies_hz.iter().zip(u) {
             let a = self.amplitude(&self.grid.cubic(*f));
             let power = (u * self.base(*f)).norm_sqr();
             let x = ((f - self.grid.first_hz) / self.grid.step_hz).clamp(0.0, n as f64 - 1.001);
             let (i, share) = (x.floor() as usize, x - x.floor());
             for (node, share) in [(i, 1.0 - share), (i + 1, share)] {
-                let w = &mut weights[node];
-                let terms = [a.norm_sqr(), a.re, a.im, 1.0];
-                for (w, term) in w.iter_mut().zip(terms) {
-                    *w += share * power * term;
+                // |a γ_h + γ_p|² by the products of strains.
+                let terms = [a.norm_sqr(), 2.0 * a.re, -2.0 * a.im, 1.0];
+                for (product, term) in terms.into_iter().enumerate().take(products) {
+                    weights[product * n + node] += share * power * term;
                 }
             }
         }
-        let h = self.strain[0].chunks_exact(n);
-        if !self.is_damped {
-            return h.map(|h| h.iter().zip(&weights).map(|(h, w)| w[0] * h.norm_sqr()).sum::<f64>().sqrt()).collect();
-        }
-        h.zip(self.strain[1].chunks_exact(n))
-            .map(|(h, p)| {
-                let term = |((h, p), w): ((&C64, &C64), &[f64; 4])| {
-                    let cross = h * p.conj();
-                    w[0] * h.norm_sqr() + 2.0 * (w[1] * cross.re - w[2] * cross.im) + w[3] * p.norm_sqr()
-                };
-                h.iter().zip(p).zip(&weights).map(term).sum::<f64>().max(0.0).sqrt()
-            })
-            .collect()
+        self.strain.chunks_exact(products * n).map(|strain| weighted(Width::widest(), strain, &weights)).collect()
     }
 }

@@ -1,6 +1,6 @@
 //! Strains of an equivalent-linear column that its moduli and damping are those of.
 
-use super::column::EquivalentColumn;
+use super::column::{EquivalentColumn, Wanted};
 use super::tuning::{Tuning, least};
 use crate::numerics::fixed_point::fixed_point;
 use crate::numerics::grid::Grid;
@@ -66,7 +66,7 @@ impl Compatible {
         let to_effective = EFFECTIVE * base.peak_factor * SQRT_2 / base.samples as f64;
         let exp = |ln: &[f64]| ln.iter().map(|x| x.exp()).collect::<Vec<f64>>();
         let effective = |ln_strain: &[f64]| {
-            let march = column.march(grid, &exp(ln_strain), &[], &Tuning::default());
+            let march = column.march(grid, &exp(ln_strain), Wanted::Strains, &Tuning::default());
             let norms = march.strain_norm(f, &displacement).into_iter();
             norms.map(|norm| (to_effective * norm).max(LEAST_STRAIN).ln()).collect()
         };
@@ -84,7 +84,7 @@ impl Compatible {
 
     /// Motions at `depths_m` under `base`, tuned, `[depth][bin]`, m/s².
     pub fn motions(&self, base: &Base<'_>, depths_m: &[f64], tuning: &Tuning) -> Vec<Vec<C64>> {
-        let march = self.column.march(self.grid, &self.strain, depths_m, tuning);
+        let march = self.column.march(self.grid, &self.strain, Wanted::Motions { depths_m }, tuning);
         let mut all = vec![Vec::with_capacity(base.frequencies_hz.len()); depths_m.len()];
         let mut at = vec![C64::default(); depths_m.len()];
         for (f, input) in base.frequencies_hz.iter().zip(base.acceleration_m_s2) {
