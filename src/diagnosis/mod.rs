@@ -9,7 +9,6 @@ mod outcome;
 mod problem;
 mod settings;
 pub(crate) mod spectra;
-mod tolerances;
 
 pub use comparison::{Change, ErrorRow, Six, Summary, missing_predictions};
 pub use floor::noise_deviation_m_s2;
@@ -18,4 +17,3 @@ pub use noise::{USUAL_SHARE, denoised, noise};
 pub use outcome::{Candidate, Diagnosis, Estimate, Found, Rest, RestVerdict, ToleranceAlarm, Verdict};
 pub use problem::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
 pub use settings::DiagnoseSettings;
-pub use tolerances::Tolerances;

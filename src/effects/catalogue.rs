@@ -225,6 +225,11 @@ impl Instance {
         super::find(self.kind).map_or(Class::Soil, |e| e.catalogue.class)
     }
 
+    /// Whether it changes the motion where sensors sit, and not only what they make of it.
+    pub fn changes_motion(&self) -> bool {
+        super::changes_motion(&self.at(&self.start()))
+    }
+
     /// The `[[effects]]` table at the given values of the free parameters.
     pub fn table(&self, values: &[f64]) -> toml::Table {
         let mut table = toml::Table::from_iter([("kind".to_string(), Value::from(self.kind))]);

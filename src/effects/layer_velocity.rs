@@ -39,8 +39,12 @@ pub const LAYER_VELOCITY_LN: f64 = 1.5;
 
 /// One instance for each range of the column that the records can tell apart.
 fn instances(array: &Array) -> Vec<Instance> {
-    let over = |range| Instance::between(ENTRY.name, range, vec![Free::new(&PARAMETERS[0], 0.0)]);
-    layers::ranges_m(array).into_iter().map(over).collect()
+    layers::ranges_m(array).into_iter().map(velocity_between).collect()
+}
+
+/// The velocity between two depths, m, its ln free.
+pub fn velocity_between(range_m: [f64; 2]) -> Instance {
+    Instance::between(ENTRY.name, range_m, vec![Free::new(&PARAMETERS[0], 0.0)])
 }
 
 /// Scales the shear-wave velocity of a depth range; layers are cut at its ends.

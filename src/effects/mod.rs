@@ -40,16 +40,18 @@ mod structure_interaction;
 mod surface_wave;
 mod swapped_channels;
 mod thin_seam;
+mod tolerances;
 mod unnamed_response;
 mod water_table;
 
 pub use catalogue::{Array, Catalogue, Class, Free, Instance, Parameter, Scale, place};
 pub use frequency_dependent_damping::FREQUENCY_DEPENDENT_DAMPING;
-pub use layer_velocity::LAYER_VELOCITY_LN;
+pub use layer_velocity::{LAYER_VELOCITY_LN, velocity_between};
 pub use layers::Laws;
 pub use observation::{Channels, Direction, Recording, depth_m, observe, operator};
 pub use operator::{Operator, Place};
 pub use situation::Situation;
+pub use tolerances::{Tolerances, Tolerated, tolerated};
 
 use crate::column::Profile;
 use crate::error::{Error, Result};
@@ -84,6 +86,11 @@ pub trait Effect: Send + Sync {
     /// The depth at which `sensor` really sits when it is declared at `depth_m`.
     fn depth_m(&self, _sensor: &str, depth_m: f64) -> f64 {
         depth_m
+    }
+
+    /// Whether it moves a sensor in the column.
+    fn moves_sensor(&self) -> bool {
+        false
     }
 
     /// What the sensor makes of the motion; `None` where it is untouched.
@@ -219,6 +226,14 @@ pub fn build(table: &toml::Table) -> Result<Box<dyn Effect>> {
             Err(Error::new("an effect needs a `kind`").hint(registry::known(&names, "")).usage())
         }
     }
+}
+
+/// Whether the effect of `table` changes the motion where sensors sit, and not only what they make of it; one that cannot be built does
+/// not.
+pub fn changes_motion(table: &toml::Table) -> bool {
+    let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
+    let class = find(kind).map(|entry| entry.catalogue.class);
+    class.is_ok_and(Class::moves_column) || build(table).is_ok_and(|effect| effect.moves_sensor())
 }
 
 /// Builds every table, in order.

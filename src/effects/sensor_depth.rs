@@ -75,6 +75,10 @@ impl Effect for SensorDepth {
         vec![&self.sensor]
     }
 
+    fn moves_sensor(&self) -> bool {
+        true
+    }
+
     fn depth_m(&self, sensor: &str, depth_m: f64) -> f64 {
         if sensor == self.sensor { depth_m + self.offset_m } else { depth_m } // (1)
     }

@@ -141,12 +141,7 @@ impl<'a> Forward<'a> {
     fn is_shaken(&self, table: &Table) -> bool {
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
         let input = Some(self.problem.array.input.as_str());
-        text("kind").and_then(|kind| effects::find(kind).ok()).is_none_or(|entry| {
-            entry.catalogue.class.moves_column()
-                || entry.name == "sensor_depth"
-                || text("sensor") == input
-                || text("with") == input
-        })
+        effects::changes_motion(table) || text("sensor") == input || text("with") == input
     }
 
     fn spectra_of(&self, motions: Motions) -> Result<Vec<Bins>> {

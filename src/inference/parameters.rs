@@ -3,9 +3,7 @@
 //! | parameter                        | coordinate                | prior                                            |
 //! |----------------------------------|---------------------------|--------------------------------------------------|
 //! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`super::depth_modes::COMMON_VELOCITY_LN`] for all together |
-//! | small-strain damping             | standard deviations       | N(0, 1), `tolerances.damping_ln` and [`DAMPING_RATIO`] |
-//! | reference strain, curvature, hysteresis | standard deviations | N(0, 1), [`NONLINEARITY_LN`], [`CURVATURE_LN`], [`HYSTERESIS_LN`] |
-//! | gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1), `tolerances.gain_ln`, `clock_s`, `depth_m`, `orientation_deg` |
+//! | small-strain damping, reference strain, shape of curves; gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1) of what [`effects::tolerated`] has |
 //! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and all, [`rayleigh`] |
 //! | frequencies at which it meets the declared ratio | standard deviations | N(0, 1), [`SHIFT_LN`] |
 //! | share of what strays that is of another origin | –   | N(0, [`ADDED_SHARE`]) between nothing and all    |
@@ -16,28 +14,14 @@
 use super::convention::Slope;
 use super::depth_modes::{modes, ranges};
 use crate::column::{Analysis, Column, Profile, Rayleigh};
-use crate::diagnosis::{Problem, Tolerances};
-use crate::effects::{self, Array, Free, Instance, LAYER_VELOCITY_LN, Situation};
+use crate::diagnosis::Problem;
+use crate::effects::{self, Free, Instance, LAYER_VELOCITY_LN, Situation, Tolerances, Tolerated, velocity_between};
 use crate::error::{Error, Result};
 use faer::Mat;
 use std::f64::consts::TAU;
 use std::ops::Range;
 use toml::Table;
 
-/// Prior standard deviation of the ln of a reference strain.
-pub const NONLINEARITY_LN: f64 = 0.15;
-/// The same of the curvature of a backbone and of the damping of its loops: curves of one soil scatter in shape as they do in reference
-/// strain, by a third of what counts as an effect.
-///
-/// Source: Darendeli (2001), chapter 10, for the scatter of curves around their means, which is larger.
-pub const CURVATURE_LN: f64 = 0.05;
-pub const HYSTERESIS_LN: f64 = 0.1;
-/// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
-/// time steps of the program that has it, make of a ratio.
-///
-/// Source: Régnier et al. (2016), doi 10.1785/0120150284, for programs given the same column; Darendeli (2001) has 0.008 for a ratio of
-/// 0.01 in the laboratory alone.
-pub const DAMPING_RATIO: f64 = 0.003;
 /// A multiplier of damping with which its unit is measured.
 const TWICE: f64 = 2.0;
 /// Standard deviations of the prior of a strength, as multiples of its typical size.
@@ -74,18 +58,14 @@ pub struct Tolerance {
 }
 
 impl Tolerance {
-    fn new(kind: &'static str, name: &str, target: &[(&str, toml::Value)], deviation: f64) -> Result<Self> {
-        let none = || Error::new(format!("effect `{kind}` has no `{name}` to be a tolerance"));
-        let parameter = effects::find(kind)?.catalogue.parameters.iter().find(|p| p.name == name).ok_or_else(none)?;
-        let target = target.iter().map(|(k, v)| (k.to_string(), v.clone())).collect();
-        let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
-        Ok(Self {
-            instance: Instance { kind, target, free },
-            deviation,
-            absolute: 0.0,
-            beside: Vec::new(),
-            bounds: [-FARTHEST, FARTHEST],
-        })
+    /// That of what is declared, in a column of `profile`.
+    fn of(Tolerated { instance, deviation, damping_ratio, .. }: Tolerated, profile: &Profile) -> Result<Self> {
+        let own = Self { instance, deviation, absolute: 0.0, beside: Vec::new(), bounds: [-FARTHEST, FARTHEST] };
+        if damping_ratio == 0.0 {
+            return Ok(own);
+        }
+        let unit = damping_unit(&own.instance, profile)?;
+        Ok(Self { absolute: if unit > 0.0 { damping_ratio / unit } else { 0.0 }, ..own })
     }
 
     /// `[[effects]]` table `z` prior standard deviations from what is declared.
@@ -137,32 +117,14 @@ impl Declared {
         let (array, t) = (&problem.array, &problem.tolerances);
         let cuts_m = ranges(array);
         let modes = modes(array, &cuts_m, t.vs_ln);
-        let curve = |kind, name, deviation| Tolerance::new(kind, name, &[], deviation);
         // What damping depends on before how much there is: a multiplier is of all of it.
         let mut others = rayleigh(&array.profile)?;
-        others.extend([
-            damping(array, t.damping_ln)?,
-            curve("nonlinearity", "ln_gamma_ref", NONLINEARITY_LN)?,
-            curve("curve_shape", "ln_curvature", CURVATURE_LN)?,
-            curve("curve_shape", "ln_hysteresis", HYSTERESIS_LN)?,
-        ]);
-        for sensor in array.sensors() {
-            let target = [("sensor", sensor.into())];
-            others.push(Tolerance::new("sensor_gain", "ln_gain", &target, t.gain_ln)?);
-            others.push(Tolerance::new("clock_offset", "offset_s", &target, t.clock_s)?);
-            if sensor != array.input {
-                others.push(Tolerance::new("sensor_depth", "offset_m", &target, t.depth_m)?);
-            }
-            if array.components.len() > 1 {
-                others.push(Tolerance::new("sensor_orientation", "azimuth_deg", &target, t.orientation_deg)?);
-            }
-        }
-        // What has nothing to act on in this column is no tolerance of it.
-        let acts = |o: &Tolerance| {
-            let effect = effects::build(&o.table(1.0));
-            effect.is_ok_and(|e| e.refusal(&array.profile).is_none())
-        };
-        others.retain(|o| o.deviation > 0.0 && acts(o));
+        others.extend(
+            effects::tolerated(array, t)
+                .into_iter()
+                .map(|own| Tolerance::of(own, &array.profile))
+                .collect::<Result<Vec<_>>>()?,
+        );
         let longest_s = problem.events.iter().map(|e| e.dt_s * e.input.len() as f64).fold(f64::MIN_POSITIVE, f64::max);
         let resolution_hz = 1.0 / longest_s;
         Ok(Self { cuts_m, modes, others, conventions: Vec::new(), resolution_hz, input: array.input.clone() })
@@ -203,14 +165,9 @@ impl Declared {
         let factors = self.ln_factors(z);
         let ranges = self.cuts_m.windows(2).zip(factors).filter(|(_, ln)| *ln != 0.0);
         let mut tables: Vec<Table> = ranges
+            // The range of the effect; velocities beyond it are no tolerance.
             .map(|(pair, ln)| {
-                let mut table = Table::new();
-                table.insert("kind".into(), "layer_velocity".into());
-                table.insert("top_m".into(), pair[0].into());
-                table.insert("bottom_m".into(), pair[1].into());
-                // The range of the effect; velocities beyond it are no tolerance.
-                table.insert("ln_factor".into(), ln.clamp(-LAYER_VELOCITY_LN, LAYER_VELOCITY_LN).into());
-                table
+                velocity_between([pair[0], pair[1]]).table(&[ln.clamp(-LAYER_VELOCITY_LN, LAYER_VELOCITY_LN)])
             })
             .collect();
         let others = self.others.iter().zip(&z[self.n_mode()..]).filter(|(_, z)| **z != 0.0);
@@ -228,11 +185,12 @@ impl Declared {
             return vec![(at, STEP / (ends[0] - ends[1]))];
         }
         let depth = |key: &str| effect.target.get(key).and_then(toml::Value::as_float);
-        let (Some(top_m), Some(bottom_m), 1.., "layer_velocity") =
-            (depth("top_m"), depth("bottom_m"), self.n_mode(), effect.kind)
-        else {
+        let (Some(top_m), Some(bottom_m), 1..) = (depth("top_m"), depth("bottom_m"), self.n_mode()) else {
             return Vec::new();
         };
+        if !effect.is_alike(&velocity_between([top_m, bottom_m])) {
+            return Vec::new();
+        }
         let is_cut = |depth_m: f64| self.cuts_m.iter().any(|cut_m| (cut_m - depth_m).abs() < 1e-6);
         if !(is_cut(top_m) && is_cut(bottom_m)) {
             return Vec::new();
@@ -267,8 +225,7 @@ impl Declared {
 
 /// Whether an effect changes the motion of the column, and not only what output sensors make of it.
 pub fn is_replayed(instance: &Instance, input: &str) -> bool {
-    instance.class().moves_column()
-        || instance.kind == "sensor_depth"
+    instance.changes_motion()
         || ["sensor", "with"].iter().any(|key| instance.target.get(*key).and_then(toml::Value::as_str) == Some(input))
 }
 
@@ -395,19 +352,15 @@ pub fn prior_of(free: &Free) -> [f64; 2] {
     }
 }
 
-/// The tolerance of small-strain damping: the declared one in ln, and [`DAMPING_RATIO`] beside the ratio that is declared. What one unit
-/// of the multiplier is in damping ratio is what the column makes of it: the declared ratio, or that of the effect where none is declared.
-fn damping(array: &Array, damping_ln: f64) -> Result<Tolerance> {
-    let tolerance = Tolerance::new("small_strain_damping", "multiplier", &[], damping_ln)?;
-    let mut more = array.profile.clone();
-    let table = tolerance.instance.at(&[TWICE.ln()]);
-    effects::build(&table)?.edit(&mut more, &Situation::default());
-    let declared = Column::new(&array.profile, &Analysis::default())?;
+/// What one unit of a multiplier of damping is in damping ratio, which the column says: the declared ratio, or that of the effect where
+/// none is declared.
+fn damping_unit(multiplier: &Instance, profile: &Profile) -> Result<f64> {
+    let mut more = profile.clone();
+    effects::build(&multiplier.table(&[TWICE]))?.edit(&mut more, &Situation::default());
+    let declared = Column::new(profile, &Analysis::default())?;
     let frequency_hz = declared.frequency_hz();
     let ratio = |column: &Column| column.small_strain_damping_ratio(frequency_hz);
-    let unit = (ratio(&Column::new(&more, &Analysis::default())?) - ratio(&declared)) / (TWICE - 1.0);
-    let absolute = if unit > 0.0 { DAMPING_RATIO / unit } else { 0.0 };
-    Ok(Tolerance { absolute, ..tolerance })
+    Ok((ratio(&Column::new(&more, &Analysis::default())?) - ratio(&declared)) / (TWICE - 1.0))
 }
 
 /// Rayleigh damping in place of the damping that laws remember and that does not depend on frequency, as other programs have it for the
@@ -419,7 +372,14 @@ fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
     let fundamental_hz = column.frequency_hz();
     let ratio = column.small_strain_damping_ratio(fundamental_hz);
     let asked = Rayleigh::of_ratio(ratio, [TAU * fundamental_hz, 5.0 * TAU * fundamental_hz]);
-    let of = |name, deviation| Tolerance::new(effects::FREQUENCY_DEPENDENT_DAMPING, name, &[], deviation);
+    let of = |name: &str, deviation| {
+        let parameters = effects::find(effects::FREQUENCY_DEPENDENT_DAMPING)?.catalogue.parameters;
+        let none = || Error::new(format!("damping that depends on frequency has no `{name}`"));
+        let parameter = parameters.iter().find(|p| p.name == name).ok_or_else(none)?;
+        let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
+        let instance = Instance::new(effects::FREQUENCY_DEPENDENT_DAMPING, [], free);
+        Tolerance::of(Tolerated { instance, deviation, damping_ratio: 0.0, is_drawn: false }, profile)
+    };
     let share = Tolerance {
         beside: vec![("beta_s", asked.beta_s), ("ln_ratio", LEFT_LN)],
         bounds: [0.0, 1.0],
@@ -473,7 +433,9 @@ mod tests {
         {
             let array = declared(kind, ratio);
             // So close to nothing that it is linear.
-            let tolerance = damping(&array, 1e-6).unwrap();
+            let tolerances = Tolerances { damping_ln: 1e-6, ..Tolerances::default() };
+            let tolerance =
+                Tolerance::of(effects::tolerated(&array, &tolerances).swap_remove(0), &array.profile).unwrap();
             let moved = |z: f64| {
                 let mut profile = array.profile.clone();
                 effects::build(&tolerance.table(z)).unwrap().edit(&mut profile, &Situation::default());
@@ -483,7 +445,7 @@ mod tests {
                 )
             };
             let found = moved(1.0) - moved(0.0);
-            assert!((found / DAMPING_RATIO - 1.0).abs() < 0.1, "{kind} {ratio:?}: {found}");
+            assert!((found / 0.003 - 1.0).abs() < 0.1, "{kind} {ratio:?}: {found}");
         }
     }
 
@@ -491,13 +453,7 @@ mod tests {
     fn velocities_of_all_layers_are_what_modes_make_of_them() {
         let problem = problem(&Truth::default());
         let declared = Declared::new(&problem).unwrap();
-        let layer = |bottom_m: f64| {
-            let mut layer =
-                effects::instances(&problem.array).into_iter().find(|i| i.kind == "layer_velocity").unwrap();
-            layer.target.insert("top_m".into(), 0.0.into());
-            layer.target.insert("bottom_m".into(), bottom_m.into());
-            layer
-        };
+        let layer = |bottom_m: f64| velocity_between([0.0, bottom_m]);
         let z = vec![0.0; declared.len()];
         let shares = declared.same_as(&layer(40.0), &z);
         let mut beside = z.clone();

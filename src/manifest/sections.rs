@@ -2,7 +2,8 @@
 
 use super::Problem;
 use crate::column::{self, Analysis, Rayleigh, Vertical};
-use crate::diagnosis::{DiagnoseSettings, Tolerances};
+use crate::diagnosis::DiagnoseSettings;
+use crate::effects::Tolerances;
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings, Recipe};
 use crate::motion::MotionSettings;
 use crate::records::RecordSettings;

@@ -143,7 +143,7 @@ pub fn narrow(parameters: &mut Table, concern: Concern) {
         let kind = table.get("kind").and_then(Value::as_str).unwrap_or_default();
         // What cannot be found is kept: the stage says what is wrong with it.
         effects::find(kind).map_or(true, |entry| match (concern, entry.catalogue.class) {
-            (Concern::Column, class) => class.moves_column() || kind == "sensor_depth",
+            (Concern::Column, _) => effects::changes_motion(table),
             (Concern::Sensors, class) => !class.moves_column() || has_arrival(table),
         })
     });

@@ -2,8 +2,8 @@
 
 use super::artifact::write_json;
 use super::instrument::{Instrument, by_event};
-use crate::diagnosis::Tolerances;
 use crate::effects;
+use crate::effects::Tolerances;
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, SensorsSection};
 use crate::pipeline::{Stage, Task};

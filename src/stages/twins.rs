@@ -6,7 +6,8 @@ use super::evaluate::{Axis, nrmse};
 use super::instrument::by_event;
 use super::problem::{Bench, READS};
 use super::records;
-use crate::diagnosis::{DiagnoseSettings, Diagnosis, Tolerances};
+use crate::diagnosis::{DiagnoseSettings, Diagnosis};
+use crate::effects::Tolerances;
 use crate::error::{Error, Result};
 use crate::inference;
 use crate::manifest::ColumnSections;
@@ -23,7 +24,7 @@ use toml::{Table, Value};
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 55);
+const TWIN: (&str, u32) = ("twin", 56);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -51,7 +52,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        53
+        54
     }
 
     fn reads(&self) -> &'static [&'static str] {

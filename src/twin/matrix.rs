@@ -182,7 +182,7 @@ impl Cell {
 
 impl Case {
     /// Everything that moves this twin from the declared model: drawn tolerances, then effects.
-    pub fn tables(&self, array: &Array, tolerances: &crate::diagnosis::Tolerances) -> Vec<Table> {
+    pub fn tables(&self, array: &Array, tolerances: &crate::effects::Tolerances) -> Vec<Table> {
         let mut tables = draw(array, tolerances, self.truth.seed);
         tables.extend(self.truth.effects.clone());
         tables

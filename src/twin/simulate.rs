@@ -5,7 +5,7 @@ use super::draw::draw;
 use super::outside::{self, Outside};
 use crate::column::{Analysis, BaseMotion, Column, Profile};
 use crate::dataset::sensor_histories;
-use crate::diagnosis::Tolerances;
+use crate::effects::Tolerances;
 use crate::effects::{self, Channels, Direction, Effect, Recording, Situation};
 use crate::error::{Error, Result};
 use crate::manifest::ColumnSections;

@@ -142,9 +142,8 @@ impl Truth {
     /// When it holds something that only a computed motion could show.
     pub fn check_alters(&self) -> Result<()> {
         let of_soil = |table: &&Table| {
-            let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
             // A measured motion cannot be read at another depth.
-            kind == "sensor_depth" || effects::find(kind).is_ok_and(|e| e.catalogue.class.moves_column())
+            effects::changes_motion(table)
         };
         let what = match self.effects.iter().find(of_soil) {
             Some(table) => format!("effect {} changes the motion of the ground, which was measured", table["kind"]),
