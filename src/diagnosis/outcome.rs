@@ -46,6 +46,10 @@ pub struct Found {
     pub gain: f64,
     /// Fall of the cost on the validation events alone.
     pub validation_gain: f64,
+    /// Probability that chance brings as much to the model without it, by draws of that model through the same search; `None` for what is
+    /// there or not and what takes numbers from records.
+    #[serde(default)]
+    pub p_value: Option<f64>,
 }
 
 /// An effect that was tried.

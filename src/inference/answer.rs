@@ -311,6 +311,7 @@ impl<'a> Answer<'_, 'a> {
                 parameters: parameters.collect(),
                 gain: self.competition.log_posterior(fit) - self.competition.log_posterior(&self.competition.fits[0]),
                 validation_gain: self.validation_cost(&self.competition.fits[0]) - self.validation_cost(fit),
+                p_value: self.competition.p_value(fit, index),
             }
         };
         claimed.iter().map(|index| of(*index)).collect()

@@ -12,6 +12,7 @@
 
 mod expectation;
 mod modes;
+mod null;
 mod prior;
 mod proposals;
 mod rivals;
@@ -27,8 +28,9 @@ use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
+use null::Null;
 pub(super) use prior::{acting, ln_prior};
-use proposals::{Proposal, distinct};
+use proposals::{Linear, Proposal, distinct};
 use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -70,6 +72,8 @@ pub struct Competition<'a> {
     /// Other modes of the posterior of the most probable model.
     pub modes: Vec<Fit<'a>>,
     expanded: Vec<Vec<Instance>>,
+    /// What chance brings to models that were looked around.
+    nulls: Vec<(Vec<Instance>, Null)>,
     challenged: Vec<Vec<Instance>>,
     explored: Vec<Vec<Instance>>,
 }
@@ -90,6 +94,7 @@ impl<'a> Competition<'a> {
             fits: vec![declared],
             modes: Vec::new(),
             expanded: Vec::new(),
+            nulls: Vec::new(),
             challenged: Vec::new(),
             explored: Vec::new(),
         }
@@ -287,11 +292,17 @@ impl<'a> Competition<'a> {
                 fit
             }
         };
-        self.expanded.push(effects);
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
         let is_open = start.model.effects.len() < self.max_effects;
-        let mut heats = self.heats(&by, &start);
+        let directions = self.directions(&by, &start);
+        let linear = Linear::new(&by, &start, &directions).filter(|_| !directions.is_empty());
+        if let Some(null) = linear.as_ref().and_then(|linear| Null::of(linear, &self.ln_priors(linear))) {
+            self.nulls.retain(|(set, _)| !is_same_set(set, &effects));
+            self.nulls.push((effects.clone(), null));
+        }
+        self.expanded.push(effects);
+        let mut heats = self.heats(&by, &start, linear.as_ref());
         heats.extend(self.unnamed(&by, &start));
         if is_open && base.is_strained() {
             heats.extend(self.strong(&by, &start));
@@ -329,8 +340,8 @@ impl<'a> Competition<'a> {
     }
 
     /// First fits of the most promising candidates beside `base` by the linear problem there.
-    fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
-        let mut proposals = self.proposals(by, base);
+    fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, linear: Option<&Linear<'_, 'a>>) -> Vec<Fit<'a>> {
+        let mut proposals = self.proposals(by, base, linear);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
         // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
         // comes on top of a pair is sought when one of the two is in the model.

@@ -80,7 +80,7 @@ pub(super) fn interval(interval: &Interval) -> String {
 fn effects(effects: &[NamedEffect]) -> Markup {
     html! {
         div.scroll { table {
-            caption { "The effects of the corrected manifest, with 95 % intervals." }
+            caption { "The effects of the corrected manifest, with 95 % intervals, and how often chance would bring as much to the model without them." }
             thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th { "Parameters" } } }
             tbody { @for effect in effects {
                 tr {
@@ -89,7 +89,7 @@ fn effects(effects: &[NamedEffect]) -> Markup {
                     td { (effect.class) }
                     td { @for (i, (name, value)) in effect.parameters.iter().enumerate() {
                         @if i > 0 { br; } code { (name) } " " (interval(value))
-                    } }
+                    } @if let Some(p) = effect.p_value { br; span.soft { "p = " (number::significant(p)) } } }
                 }
             } }
         } }

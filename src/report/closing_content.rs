@@ -65,6 +65,8 @@ pub struct NamedEffect {
     pub class: String,
     /// Its parameters.
     pub parameters: Vec<(String, Interval)>,
+    /// Probability that chance brings as much.
+    pub p_value: Option<f64>,
 }
 
 /// A model that was fitted.

@@ -180,6 +180,7 @@ fn named(diagnosis: &Diagnosis) -> Vec<NamedEffect> {
         target: e.target.clone(),
         class: class(e.class),
         parameters: e.parameters.iter().map(|(name, estimate)| (name.clone(), interval(estimate))).collect(),
+        p_value: e.p_value,
     };
     diagnosis.effects.iter().map(effect).collect()
 }

@@ -256,6 +256,7 @@ fn closing() -> Closing {
                 ("frequency_hz".into(), interval(3.02, 0.2, "Hz")),
                 ("mass_t_m2".into(), interval(5.8, 0.9, "t/m²")),
             ],
+            p_value: Some(0.0005),
         }],
         ambiguity: vec![
             ("structure_interaction".into(), "the pole-zero pair".into()),

@@ -45,7 +45,7 @@ struct Node {
 }
 
 /// A candidate's node and how the residuals of a point change towards it.
-struct Direction {
+pub(super) struct Direction {
     node: Node,
     change: Arc<Rows>,
     /// Whether that is from a replay.
@@ -123,21 +123,21 @@ impl<'a> Competition<'a> {
         nodes
     }
 
-    /// All candidates beside `base`, and pairs of the best.
-    pub(super) fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Proposal> {
-        let n_open = self.max_effects.saturating_sub(base.model.effects.len());
-        if n_open == 0 {
+    /// Candidates that `base` lacks: those of which the linear problem says something, and those that are there or not or take numbers from
+    /// the records.
+    fn lacking(&self, base: &Fit<'a>) -> [Vec<Instance>; 2] {
+        let lacking = self.instances.iter().filter(|i| base.model.index_of(i).is_none());
+        let (smooth, discrete): (Vec<&Instance>, Vec<&Instance>) = lacking.partition(|i| is_linear(i));
+        [smooth, discrete].map(|all| all.into_iter().cloned().collect())
+    }
+
+    /// How residuals change towards each candidate that `base` lacks and the linear problem says something of.
+    pub(super) fn directions(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Direction> {
+        if base.model.effects.len() >= self.max_effects {
             return Vec::new();
         }
-        let lacking: Vec<Instance> =
-            self.instances.iter().filter(|i| base.model.index_of(i).is_none()).cloned().collect();
-        let is_smooth = |i: &Instance| i.zero().is_some() && i.hidden() == 0;
-        let (smooth, discrete): (Vec<Instance>, Vec<Instance>) = lacking.into_iter().partition(is_smooth);
+        let [smooth, _] = self.lacking(base);
         let smooth = on_threads(smooth.len(), |i| Self::at_delay(by, base, smooth[i].clone()));
-        let discrete = Self::nodes(&discrete, NODES[0]);
-        let discrete =
-            on_threads(discrete.len(), |i| self.discrete(by, base, Self::at_line(by, base, discrete[i].clone())));
-        let mut proposals: Vec<Proposal> = discrete.into_iter().flatten().collect();
         // Further nodes are multiples of these, which come first.
         let nodes = Self::nodes(&smooth, NODES[0]);
         let near = by.near(&base.model, &base.x);
@@ -156,13 +156,32 @@ impl<'a> Competition<'a> {
         let slight = Self::nodes(&smooth, SLIGHT);
         let slight = on_threads(slight.len(), |i| Self::direction(near.as_ref(), by, base, slight[i].clone()));
         all.extend(slight.into_iter().flatten());
-        let Some(beside) = Linear::new(by, base, &all) else { return proposals };
-        let singles = self.singles(&beside);
+        all
+    }
+
+    /// All candidates beside `base`, and pairs of the best, by the `linear` problem there.
+    pub(super) fn proposals(&self, by: &Fitter<'a>, base: &Fit<'a>, linear: Option<&Linear<'_, 'a>>) -> Vec<Proposal> {
+        let n_open = self.max_effects.saturating_sub(base.model.effects.len());
+        if n_open == 0 {
+            return Vec::new();
+        }
+        let [_, discrete] = self.lacking(base);
+        let discrete = Self::nodes(&discrete, NODES[0]);
+        let discrete =
+            on_threads(discrete.len(), |i| self.discrete(by, base, Self::at_line(by, base, discrete[i].clone())));
+        let mut proposals: Vec<Proposal> = discrete.into_iter().flatten().collect();
+        let Some(beside) = linear else { return proposals };
+        let singles = self.singles(beside);
         if n_open > 1 {
-            proposals.extend(self.pairs(&beside, &singles));
+            proposals.extend(self.pairs(beside, &singles));
         }
         proposals.extend(singles.into_iter().map(|(_, single)| single));
         proposals
+    }
+
+    /// ln of the prior of the effect along each direction.
+    pub(super) fn ln_priors(&self, linear: &Linear<'_, 'a>) -> Vec<f64> {
+        linear.directions.iter().map(|d| self.prior_of(&d.node.instance)).collect()
     }
 
     /// How the residuals of `base` change towards a node: by the equivalent-linear column `near` it where there is one and it has that.
@@ -302,18 +321,18 @@ impl<'a> Competition<'a> {
 }
 
 /// The linear problem of some directions around a point, in which the coordinates of its model give way within their ranges.
-struct Linear<'c, 'a> {
-    base: &'c Fit<'a>,
-    directions: &'c [Direction],
+pub(super) struct Linear<'c, 'a> {
+    pub base: &'c Fit<'a>,
+    pub directions: &'c [Direction],
     /// ln of the density over what is there: coordinates, then directions in units of their nodes.
-    density: Quadratic,
+    pub density: Quadratic,
     /// Coordinates that give way: what stands at an end of its range does not.
-    beside: Vec<usize>,
+    pub beside: Vec<usize>,
 }
 
 impl<'c, 'a> Linear<'c, 'a> {
     /// None where the linear problem has no solution.
-    fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction]) -> Option<Self> {
+    pub fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction]) -> Option<Self> {
         let (n, count) = (base.x.len(), directions.len());
         let slopes: Vec<Arc<Rows>> =
             base.slopes.iter().cloned().chain(directions.iter().map(|d| d.change.clone())).collect();
@@ -340,7 +359,7 @@ impl<'c, 'a> Linear<'c, 'a> {
     /// ```
     ///
     /// A and Λ are what the records and the prior know of the coordinates that give way and of the directions.
-    fn proposal(&self, set: &[usize]) -> Option<Proposal> {
+    pub fn proposal(&self, set: &[usize]) -> Option<Proposal> {
         let n = self.base.x.len();
         let directions = || set.iter().map(|i| n + i);
         let (moved, gain) = self.density.of(&(0..n).chain(directions()).collect::<Vec<_>>()).highest(f64::INFINITY)?;
@@ -374,6 +393,11 @@ impl Direction {
         let start = at.zip(node.instance.bounds()).map(|(x, [low, high])| x.clamp(low, high)).collect();
         Part { instance: node.instance.clone(), start, along: Some((node.at.clone(), change.clone())) }
     }
+}
+
+/// Whether the linear problem says something of an effect: it has a strength and takes no numbers from records.
+pub(super) fn is_linear(instance: &Instance) -> bool {
+    instance.zero().is_some() && instance.hidden() == 0
 }
 
 /// Coordinates of `instance` with its first strength `size` typical sizes away from nothing; `None` where there is no such side.

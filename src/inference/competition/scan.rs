@@ -1,7 +1,7 @@
 //! Candidates that may be strong: each over all its strengths, from what is declared, by the equivalent-linear column. Where tolerances or
 //! other effects stand in for something strong, what is linear beside them says little of it.
 
-use super::proposals::{SHORTLIST, away, distinct, is_among_best};
+use super::proposals::{SHORTLIST, away, distinct, is_among_best, is_linear};
 use super::{Competition, FAR_HEAT};
 use crate::effects::Instance;
 use crate::inference::parameters::Model;
@@ -38,7 +38,7 @@ impl<'a> Competition<'a> {
         ground: &Ground<'a>,
         candidates: impl Iterator<Item = &'i Instance>,
     ) -> Vec<Fit<'a>> {
-        let smooth: Vec<&Instance> = candidates.filter(|i| i.zero().is_some() && i.hidden() == 0).collect();
+        let smooth: Vec<&Instance> = candidates.filter(|i| is_linear(i)).collect();
         let tried = |i: usize| Some((smooth[i], ground.best_of_ladder(smooth[i])?));
         let mut all: Vec<_> = on_threads(smooth.len(), tried).into_iter().flatten().collect();
         all.sort_by(|(_, (_, a)), (_, (_, b))| a.total_cmp(b));
