@@ -11,6 +11,8 @@
 //! the channels, and the models under it are compared by that.
 
 mod expectation;
+#[cfg(test)]
+mod linear_gaussian;
 mod modes;
 mod null;
 mod prior;

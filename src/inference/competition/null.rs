@@ -27,7 +27,7 @@ const ALIKE: f64 = 1e-9;
 /// of (2), with the strength d of its mode within bounds, is what a search among so many brings by chance.
 ///
 /// Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 4.2, for p-values by draws.
-/// Check:  `p_values_of_what_chance_brings_are_uniform`.
+/// Check:  `p_values_of_what_chance_brings_are_uniform` in `linear_gaussian`.
 #[derive(Clone)]
 pub struct Null(Vec<f64>);
 
@@ -81,60 +81,5 @@ impl<'a> Competition<'a> {
         let part = &self.fits[self.known(&without)?];
         let (_, null) = self.nulls.iter().find(|(set, _)| is_same_set(set, &without))?;
         Some(null.p_value(self.log_posterior(fit) - self.log_posterior(part)))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::super::few::{self, Few};
-    use super::super::super::forward::Forward;
-    use super::super::super::made_up::{Truth, Uniform, problem};
-    use super::super::super::parameters::{Declared, Model};
-    use super::super::super::posterior::{Fitter, Start, Stop, combined};
-    use super::super::super::weights::Expected;
-    use super::*;
-    use crate::diagnosis::DiagnoseSettings;
-    use std::sync::Arc;
-
-    #[test]
-    fn p_values_of_what_chance_brings_are_uniform() {
-        let problem = problem(&Truth { events: 3, ..Truth::default() });
-        let replay = Uniform(&problem);
-        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
-        let declared = Declared::new(&problem).unwrap();
-        forward.anchor(&[]).unwrap();
-        let prediction = Arc::new(forward.predict(&[]).unwrap());
-        let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
-        let model = Model { declared: &declared, effects: Vec::new() };
-        let fit = fitter.fit(Start::at(model, vec![0.0; declared.len()]), Stop::WHERE_IT_IS).unwrap();
-        let in_few = forward.in_groups(&few::groups(&forward));
-        let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
-        let competition = Competition::new(fitter, fit.clone(), few, 4);
-        let directions = competition.directions(&competition.fitter, &fit);
-        let times = 400;
-        let p_values: Vec<f64> = (0..times)
-            .map(|seed| {
-                let mut normal = StandardNormal.sample_iter(random::stream(seed, "records of the model"));
-                let mut next = || -> f64 { normal.next().unwrap() };
-                let mut rows = (*fit.rows).clone();
-                rows.iter_mut().flatten().for_each(|r| *r = next());
-                for (slope, [_, sd]) in fit.slopes.iter().zip(fit.model.prior()) {
-                    rows = combined(&rows, slope, 1.0, sd * next());
-                }
-                let drawn = Fit { rows: Arc::new(rows), ..fit.clone() };
-                let linear = Linear::new(&competition.fitter, &drawn, &directions).unwrap();
-                let prior = competition.ln_priors(&linear);
-                let none = linear.proposal(&[]).unwrap().log_posterior;
-                let best = (0..directions.len()).filter_map(|i| Some(linear.proposal(&[i])?.log_posterior + prior[i]));
-                let null = Null::of(&linear, &prior).unwrap();
-                null.p_value(best.fold(f64::NEG_INFINITY, f64::max) - none)
-            })
-            .collect();
-        // Within three standard deviations of the share of uniform numbers.
-        for level in [0.02, 0.05, 0.1, 0.25, 0.5, 0.75] {
-            let share = p_values.iter().filter(|p| **p <= level).count() as f64 / times as f64;
-            let deviation = (level * (1.0 - level) / times as f64).sqrt();
-            assert!((share - level).abs() < 3.0 * deviation, "{level}: {share}");
-        }
     }
 }

@@ -47,7 +47,7 @@ struct Node {
 /// A candidate's node and how the residuals of a point change towards it.
 pub(super) struct Direction {
     node: Node,
-    change: Arc<Rows>,
+    pub change: Arc<Rows>,
     /// Whether that is from a replay.
     is_replayed: bool,
 }
@@ -345,8 +345,11 @@ impl<'c, 'a> Linear<'c, 'a> {
         gradient.extend((n..n + count).map(|i| own[(i, n + count)]));
         let mut bounds = base.model.room(&base.x);
         bounds.extend(directions.iter().map(|d| [if d.node.is_one_sided { 0.0 } else { -FARTHEST }, FARTHEST]));
-        let density = Quadratic { a: Mat::from_fn(n + count, n + count, a), gradient, bounds, size };
-        let all: Vec<usize> = (0..n).collect();
+        Self::of(base, directions, Quadratic { a: Mat::from_fn(n + count, n + count, a), gradient, bounds, size })
+    }
+
+    pub fn of(base: &'c Fit<'a>, directions: &'c [Direction], density: Quadratic) -> Option<Self> {
+        let all: Vec<usize> = (0..base.x.len()).collect();
         let (moved, _) = density.of(&all).highest(f64::INFINITY)?;
         let beside = all.into_iter().filter(|i| !density.bounds[*i].contains(&moved[*i])).collect();
         Some(Self { base, directions, density, beside })
