@@ -27,6 +27,9 @@ pub struct Estimate {
     pub unit: String,
     /// 95 % interval.
     pub ci95: [f64; 2],
+    /// The value were every prior half and twice as wide: what it owes to them.
+    #[serde(default)]
+    pub by_prior: Option<[f64; 2]>,
 }
 
 /// A named effect.

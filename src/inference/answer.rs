@@ -26,6 +26,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest probability that nothing is missing beside which an effect is named.
 pub(super) const NOTHING: f64 = 0.05;
+/// Widths of priors, over what they are, with which values are found again.
+const PRIOR_RATIOS: [f64; 2] = [0.5, 2.0];
 /// Level of the column's error, over the declared one, from which something is missing that has no name.
 const UNNAMED: f64 = 2.0;
 
@@ -296,12 +298,14 @@ impl<'a> Answer<'_, 'a> {
         let of = |index: usize| {
             let instance = &fit.model.effects[index];
             let (start, intervals) = (fit.model.start(index), averaged(fit, index, members));
+            let by_prior = PRIOR_RATIOS.map(|ratio| fit.with_priors(ratio));
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
                 let (x, p) = (fit.x[start + i], free.parameter);
                 let [low, high] = p.bounds();
                 let ends = intervals[i].map(|e| p.value(e.clamp(low, high)));
                 let ci95 = if ends[0] <= ends[1] { ends } else { [ends[1], ends[0]] };
-                (p.name.to_string(), Estimate { value: p.value(x), unit: p.unit.to_string(), ci95 })
+                let by_prior = Some(by_prior.each_ref().map(|x| p.value(x[start + i])));
+                (p.name.to_string(), Estimate { value: p.value(x), unit: p.unit.to_string(), ci95, by_prior })
             });
             Found {
                 kind: instance.kind.to_string(),
@@ -323,13 +327,16 @@ fn of_another_origin(fit: &Fit<'_>) -> Estimate {
     let at = fit.model.declared.added();
     let half = NORMAL * fit.covariance().map_or(1.0, |c| c[(at, at)].sqrt());
     let value = fit.x[at];
-    Estimate { value, unit: String::new(), ci95: [value - half, value + half].map(|end| end.clamp(0.0, 1.0)) }
+    let ci95 = [value - half, value + half].map(|end| end.clamp(0.0, 1.0));
+    let by_prior = Some(PRIOR_RATIOS.map(|ratio| fit.with_priors(ratio)[at]));
+    Estimate { value, unit: String::new(), ci95, by_prior }
 }
 
 /// Tolerances of other things than velocities at whose end the records put the declared value.
 fn strained(fit: &Fit<'_>) -> Vec<ToleranceAlarm> {
     let declared = fit.model.declared;
     let covariance = fit.covariance();
+    let by_prior = PRIOR_RATIOS.map(|ratio| fit.with_priors(ratio));
     let of = |(i, tolerance): (usize, &super::parameters::Tolerance)| {
         let at = declared.n_mode() + i;
         let deviations = fit.x[at];
@@ -344,6 +351,7 @@ fn strained(fit: &Fit<'_>) -> Vec<ToleranceAlarm> {
                 value: value(deviations),
                 unit: parameter.unit.to_string(),
                 ci95: [value(deviations - half), value(deviations + half)],
+                by_prior: Some(by_prior.each_ref().map(|x| value(x[at]))),
             },
         })
     };

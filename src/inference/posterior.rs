@@ -312,6 +312,12 @@ impl Fit<'_> {
         occam(&self.model, &self.x, &self.g) - self.cost
     }
 
+    /// The most probable coordinates were every prior `ratio` times as wide, by one step from here.
+    pub fn with_priors(&self, ratio: f64) -> Vec<f64> {
+        let moved = around(&self.model, &self.x, &self.g, ratio).highest(f64::INFINITY);
+        moved.map_or(self.x.clone(), |(dx, _)| self.x.iter().zip(dx).map(|(x, d)| x + d).collect())
+    }
+
     /// Coordinates when each event in turn is left out, by one step from here; `groups` are the events of the records.
     pub fn without_each_event(&self, groups: &[usize]) -> Vec<Vec<f64>> {
         let of = |event: usize| {
@@ -371,15 +377,21 @@ pub fn gradient(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> Vec<f64> {
     model.prior().iter().zip(x).enumerate().map(|(i, ([mean, sd], x))| g[(i, side)] - (x - mean) / sd.powi(2)).collect()
 }
 
+/// ln of the posterior density around `x`, every prior `ratio` times as wide as it is.
+fn around(model: &Model<'_>, x: &[f64], g: &Mat<f64>, ratio: f64) -> Quadratic {
+    let (prior, n) = (model.prior(), x.len());
+    let known = |i: usize| (ratio * prior[i][1]).powi(-2);
+    Quadratic {
+        a: Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { known(i) } else { 0.0 }),
+        gradient: (0..n).map(|i| g[(i, n)] - (x[i] - prior[i][0]) * known(i)).collect(),
+        bounds: model.room(x),
+        size: prior.iter().map(|[_, sd]| ratio * sd).collect(),
+    }
+}
+
 /// The step from `x` within `radius` prior standard deviations and the bounds, and what it is expected to gain.
 fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f64) {
-    let quadratic = Quadratic {
-        a: information(model, g),
-        gradient: gradient(model, x, g),
-        bounds: model.room(x),
-        size: model.prior().iter().map(|[_, sd]| *sd).collect(),
-    };
-    let Some((dx, gain)) = quadratic.highest(radius) else { return (x.to_vec(), 0.0) };
+    let Some((dx, gain)) = around(model, x, g, 1.0).highest(radius) else { return (x.to_vec(), 0.0) };
     (x.iter().zip(dx).map(|(x, d)| x + d).collect(), gain)
 }
 

@@ -80,7 +80,7 @@ pub(super) fn interval(interval: &Interval) -> String {
 fn effects(effects: &[NamedEffect]) -> Markup {
     html! {
         div.scroll { table {
-            caption { "The effects of the corrected manifest, with 95 % intervals, and how often chance would bring as much to the model without them." }
+            caption { "The effects of the corrected manifest, with 95 % intervals, in brackets the value were every prior half and twice as wide, and how often chance would bring as much to the model without them." }
             thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th { "Parameters" } } }
             tbody { @for effect in effects {
                 tr {
@@ -89,6 +89,7 @@ fn effects(effects: &[NamedEffect]) -> Markup {
                     td { (effect.class) }
                     td { @for (i, (name, value)) in effect.parameters.iter().enumerate() {
                         @if i > 0 { br; } code { (name) } " " (interval(value))
+                        @if let Some([half, twice]) = value.by_prior { " " span.soft { "(" (number::significant(half)) ", " (number::significant(twice)) ")" } }
                     } @if let Some(p) = effect.p_value { br; span.soft { "p = " (number::significant(p)) } } }
                 }
             } }
@@ -256,7 +257,7 @@ mod tests {
 
     #[test]
     fn intervals_carry_their_unit_once() {
-        let hertz = Interval { value: 2.4123, unit: "Hz".into(), ci95: [2.2, 2.61] };
+        let hertz = Interval { value: 2.4123, unit: "Hz".into(), ci95: [2.2, 2.61], by_prior: None };
         assert_eq!(interval(&hertz), "2.41 [2.20, 2.61] Hz");
     }
 }

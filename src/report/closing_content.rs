@@ -49,6 +49,8 @@ pub struct Interval {
     pub unit: String,
     /// 95 % interval.
     pub ci95: [f64; 2],
+    /// The value were every prior half and twice as wide.
+    pub by_prior: Option<[f64; 2]>,
 }
 
 /// An effect that was named.

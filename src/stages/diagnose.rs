@@ -24,7 +24,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        60
+        61
     }
 
     fn reads(&self) -> &'static [&'static str] {

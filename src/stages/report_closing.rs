@@ -170,7 +170,8 @@ fn key(kind: &str) -> String {
 }
 
 fn interval(estimate: &Estimate) -> Interval {
-    Interval { value: estimate.value, unit: estimate.unit.clone(), ci95: estimate.ci95 }
+    let Estimate { value, ci95, by_prior, .. } = *estimate;
+    Interval { value, unit: estimate.unit.clone(), ci95, by_prior }
 }
 
 fn named(diagnosis: &Diagnosis) -> Vec<NamedEffect> {

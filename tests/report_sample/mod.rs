@@ -203,8 +203,12 @@ fn study() -> Study {
 }
 
 fn closing() -> Closing {
-    let interval =
-        |value: f64, half: f64, unit: &str| Interval { value, unit: unit.into(), ci95: [value - half, value + half] };
+    let interval = |value: f64, half: f64, unit: &str| Interval {
+        value,
+        unit: unit.into(),
+        ci95: [value - half, value + half],
+        by_prior: Some([0.98 * value, 1.01 * value]),
+    };
     let candidate = |kind: &str, target: &str, class: &str, gain: f64| Candidate {
         kind: kind.into(),
         target: target.into(),

@@ -66,6 +66,26 @@ fn normal_equations_are_slopes_of_the_cost() {
 }
 
 #[test]
+fn with_other_priors_coordinates_are_where_these_and_the_records_pull_alike() {
+    let problem = problem(&Truth { soil: [197.0, 0.03], ..Truth::default() });
+    fitted(&problem, &["small_strain_damping"], |fit, _| {
+        let (prior, n) = (fit.model.prior(), fit.x.len());
+        assert!(
+            fit.x.iter().zip(fit.with_priors(1.0)).zip(&prior).all(|((x, same), [_, sd])| (x - same).abs() < 0.1 * sd)
+        );
+        for ratio in [0.5, 2.0] {
+            let found = fit.with_priors(ratio);
+            let room = fit.model.room(&found);
+            for i in (0..n).filter(|i| room[*i][0] < 0.0 && room[*i][1] > 0.0) {
+                let records = fit.g[(i, n)] - (0..n).map(|j| fit.g[(i, j)] * (found[j] - fit.x[j])).sum::<f64>();
+                let own = (found[i] - prior[i][0]) / (ratio * prior[i][1]).powi(2);
+                assert!((records - own).abs() < 1e-6 * (1.0 + own.abs()), "{i}: {records} {own}");
+            }
+        }
+    });
+}
+
+#[test]
 fn slopes_of_the_equivalent_linear_column_are_those_of_replays() {
     let problem = problem(&Truth { events: 2, ..Truth::default() });
     let replay = Nonlinear(&problem);
