@@ -286,6 +286,7 @@ fn marched(
 
 /// As wide as the compiler makes it: the same operations on every width.
 #[inline(always)]
+#[expect(clippy::extra_unused_type_parameters, reason = "it tells the registers that this is compiled for")]
 fn march<L: Lane>(column: &EquivalentColumn, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
     column.marched(grid, gamma, wanted, tuning)
 }
@@ -297,6 +298,7 @@ fn weighted(width: Width, x: &[f64], weights: &[f64]) -> f64 {
 
 /// The sum is taken in as many parts as the widest registers have, on every width.
 #[inline(always)]
+#[expect(clippy::extra_unused_type_parameters, reason = "it tells the registers that this is compiled for")]
 fn root_of_sum<L: Lane>(x: &[f64], weights: &[f64]) -> f64 {
     let (x, x_rest) = x.as_chunks::<WIDEST>();
     let (weights, weights_rest) = weights.as_chunks::<WIDEST>();
