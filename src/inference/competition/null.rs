@@ -12,9 +12,6 @@ use rayon::prelude::*;
 
 /// Draws: p-values down to one in so many.
 const DRAWS: usize = 2000;
-/// What is added to the variance of a score, as a share of it: candidates that do the same are told apart by nothing.
-const ALIKE: f64 = 1e-9;
-
 /// ln of the odds of the best candidate in each draw of a model that lacks nothing, ascending.
 ///
 /// ```text
@@ -41,22 +38,25 @@ impl Null {
         let taken_up = cross.transpose() * density.of(&linear.beside).a.llt(Side::Lower).ok()?.solve(&cross);
         let own = |i: usize, j: usize| {
             let whole = density.a[(n + i, n + j)] - taken_up[(i, j)];
-            if i == j { (whole - known(i)).max(0.0) * (1.0 + ALIKE) + f64::MIN_POSITIVE } else { whole }
+            if i == j { (whole - known(i)).max(f64::MIN_POSITIVE) } else { whole }
         };
-        let covariance = Mat::from_fn(count, count, own);
-        let factor = covariance.llt(Side::Lower).ok()?;
-        let root = factor.L();
+        let variance: Vec<f64> = (0..count).map(|i| own(i, i)).collect();
+        // Candidates that do the same have one score: what is left of the difference of theirs is rounding.
+        let alike = Mat::from_fn(count, count, |i, j| own(i, j) / (variance[i] * variance[j]).sqrt());
+        let axes = alike.self_adjoint_eigen(Side::Lower).ok()?;
+        let root = |i: usize, k: usize| axes.U()[(i, k)] * (axes.S()[k].max(0.0) * variance[i]).sqrt();
+        let root = Mat::from_fn(count, count, root);
         let ln_odds = |i: usize, score: f64| {
-            let curvature = covariance[(i, i)] + known(i);
+            let curvature = variance[i] + known(i);
             let [low, high] = density.bounds[n + i];
             let strength = (score / curvature).clamp(low, high);
-            let occam = -0.5 * (covariance[(i, i)] / known(i)).ln_1p();
+            let occam = -0.5 * (variance[i] / known(i)).ln_1p();
             score * strength - 0.5 * curvature * strength * strength + occam + ln_prior[i]
         };
         let draw = |number: usize| {
             let normal = StandardNormal.sample_iter(random::stream(number as u64, "null of a competition"));
             let z: Vec<f64> = normal.take(count).collect();
-            let score = |i: usize| (0..=i).map(|j| root[(i, j)] * z[j]).sum::<f64>();
+            let score = |i: usize| (0..count).map(|k| root[(i, k)] * z[k]).sum::<f64>();
             (0..count).map(|i| ln_odds(i, score(i))).fold(f64::NEG_INFINITY, f64::max)
         };
         let mut largest: Vec<f64> = (0..DRAWS).into_par_iter().map(draw).collect();
