@@ -12,6 +12,9 @@ use rayon::prelude::*;
 
 /// Draws: p-values down to one in so many.
 const DRAWS: usize = 2000;
+/// Share of what is known of a strength that is rounding.
+const ROUNDING: f64 = 1e-9;
+
 /// ln of the odds of the best candidate in each draw of a model that lacks nothing, ascending.
 ///
 /// ```text
@@ -36,13 +39,17 @@ impl Null {
         let known = |i: usize| density.size[n + i].powi(-2);
         let cross = Mat::from_fn(linear.beside.len(), count, |i, j| density.a[(linear.beside[i], n + j)]);
         let taken_up = cross.transpose() * density.of(&linear.beside).a.llt(Side::Lower).ok()?.solve(&cross);
-        let own = |i: usize, j: usize| {
-            let whole = density.a[(n + i, n + j)] - taken_up[(i, j)];
-            if i == j { (whole - known(i)).max(f64::MIN_POSITIVE) } else { whole }
-        };
-        let variance: Vec<f64> = (0..count).map(|i| own(i, i)).collect();
+        let own =
+            |i: usize, j: usize| density.a[(n + i, n + j)] - taken_up[(i, j)] - if i == j { known(i) } else { 0.0 };
+        // Records tell nothing of what changes them by no more than rounding.
+        let is_told = |i: usize| own(i, i) > ROUNDING * density.a[(n + i, n + i)];
+        let variance: Vec<f64> = (0..count).map(|i| if is_told(i) { own(i, i) } else { 0.0 }).collect();
         // Candidates that do the same have one score: what is left of the difference of theirs is rounding.
-        let alike = Mat::from_fn(count, count, |i, j| own(i, j) / (variance[i] * variance[j]).sqrt());
+        let alike = |i: usize, j: usize| {
+            let scale = (variance[i] * variance[j]).sqrt();
+            if scale > 0.0 { own(i, j) / scale } else { 0.0 }
+        };
+        let alike = Mat::from_fn(count, count, alike);
         let axes = alike.self_adjoint_eigen(Side::Lower).ok()?;
         let root = |i: usize, k: usize| axes.U()[(i, k)] * (axes.S()[k].max(0.0) * variance[i]).sqrt();
         let root = Mat::from_fn(count, count, root);
