@@ -73,7 +73,8 @@ impl Null {
 
     /// Probability that chance brings these `ln_odds` or more.
     pub fn p_value(&self, ln_odds: f64) -> f64 {
-        let fewer = self.0.partition_point(|chance| *chance < ln_odds);
+        // Where no candidate gains, what is left is the prior of one of which records tell nothing, whatever they are.
+        let fewer = self.0.partition_point(|chance| *chance < ln_odds - ROUNDING.sqrt());
         (self.0.len() - fewer + 1) as f64 / (self.0.len() + 1) as f64
     }
 }
