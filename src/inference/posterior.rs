@@ -236,7 +236,7 @@ impl<'a> Fitter<'a> {
     }
 
     /// Where a fit to the equivalent-linear column beside `start` ends, if a replay there gains what that foretold.
-    pub(super) fn leap(&self, start: &Start<'a>) -> Option<Start<'a>> {
+    fn leap(&self, start: &Start<'a>) -> Option<Start<'a>> {
         let Start { model, x, .. } = start;
         let by = self.by_surrogate(model, x)?;
         let at = by.point(model, x.clone()).ok()?;

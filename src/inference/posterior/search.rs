@@ -107,14 +107,10 @@ impl<'a> Fitter<'a> {
     /// Fits from `start`: Gauss–Newton steps within a trust region. Slopes are carried along and learn from every step; where they lead
     /// no further they are taken anew, until what they say of the evidence stands still.
     ///
-    /// Where the equivalent-linear column beside the start foretells what a replay bears out, it begins from there.
-    ///
     /// # Errors
     /// When the column cannot be replayed at the start.
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
-        let is_close = stop.replays == Replays::WhereDoubted && stop.steps > 0;
-        let ahead = if is_close { self.leap(&start) } else { None };
-        let mut search = self.begun(ahead.unwrap_or(start))?;
+        let mut search = self.begun(start)?;
         for _ in 0..stop.steps {
             if self.has_ended(&mut search, stop) {
                 break;
