@@ -1,7 +1,6 @@
 //! What a diagnosis is about: the declared array, its tolerances, and the events it may look at.
 
-use crate::effects::Tolerances;
-use crate::effects::{Array, Situation};
+use crate::effects::{Array, Situation, Tolerances};
 use crate::error::Result;
 use crate::records::Split;
 use serde::Serialize;

@@ -227,7 +227,7 @@ impl Instance {
 
     /// Whether it changes the motion where sensors sit, and not only what they make of it.
     pub fn changes_motion(&self) -> bool {
-        super::changes_motion(&self.at(&self.start()))
+        self.class().moves_column() || super::build(&self.at(&self.start())).is_ok_and(|effect| effect.moves_sensor())
     }
 
     /// The `[[effects]]` table at the given values of the free parameters.

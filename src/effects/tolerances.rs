@@ -46,7 +46,7 @@ impl Default for Tolerances {
 }
 
 /// A declared value that may be off, wherever the effect that moves it has a place. Velocities are apart: what is known of those of
-/// neighbouring layers goes together ([`velocity`]).
+/// neighbouring layers goes together ([`super::velocity_between`]).
 struct Inaccuracy {
     /// The effect.
     kind: &'static str,
@@ -61,19 +61,19 @@ struct Inaccuracy {
 }
 
 /// Prior standard deviation of the ln of a reference strain.
-pub const NONLINEARITY_LN: f64 = 0.15;
+const NONLINEARITY_LN: f64 = 0.15;
 /// The same of the curvature of a backbone and of the damping of its loops: curves of one soil scatter in shape as they do in reference
 /// strain, by a third of what counts as an effect.
 ///
 /// Source: Darendeli (2001), chapter 10, for the scatter of curves around their means, which is larger.
-pub const CURVATURE_LN: f64 = 0.05;
-pub const HYSTERESIS_LN: f64 = 0.1;
+const CURVATURE_LN: f64 = 0.05;
+const HYSTERESIS_LN: f64 = 0.1;
 /// Prior standard deviation of the damping ratio of a column beside a declared one that is exactly met: what its idealisation, and the
 /// time steps of the program that has it, make of a ratio.
 ///
 /// Source: Régnier et al. (2016), doi 10.1785/0120150284, for programs given the same column; Darendeli (2001) has 0.008 for a ratio of
 /// 0.01 in the laboratory alone.
-pub const DAMPING_RATIO: f64 = 0.003;
+const DAMPING_RATIO: f64 = 0.003;
 
 /// Everything declared that may be off, but velocities: what is of the column first.
 const INACCURACIES: &[Inaccuracy] = &[
@@ -116,22 +116,21 @@ pub struct Tolerated {
 /// What of `array` may be off within `tolerances`, but velocities: what is of the column, then sensor by sensor. What has nothing to act on
 /// is none of it.
 pub fn tolerated(array: &Array, tolerances: &Tolerances) -> Vec<Tolerated> {
-    let of = |row: &Inaccuracy| {
-        let all = super::instances(array).into_iter();
-        let own = all.filter(|i| i.kind == row.kind && i.free.len() == 1 && i.free[0].parameter.name == row.parameter);
-        let (deviation, damping_ratio) = ((row.deviation)(tolerances), row.damping_ratio);
-        let is_drawn = row.is_drawn;
-        let tolerated = move |instance| Tolerated { instance, deviation, damping_ratio, is_drawn };
-        own.map(tolerated).collect::<Vec<_>>()
+    let of = |row: &'static Inaccuracy| {
+        let places = super::find(row.kind).map_or_else(|_| Vec::new(), |entry| (entry.catalogue.instances)(array));
+        let own = places.into_iter().filter(|i| i.free.len() == 1 && i.free[0].parameter.name == row.parameter);
+        let Inaccuracy { damping_ratio, is_drawn, .. } = *row;
+        let deviation = (row.deviation)(tolerances);
+        own.map(move |instance| Tolerated { instance, deviation, damping_ratio, is_drawn })
     };
     let sensor = |t: &Tolerated| {
         let own = t.instance.target.get("sensor").and_then(toml::Value::as_str);
         own.and_then(|name| array.sensors().position(|sensor| sensor == name))
     };
     let acts = |t: &Tolerated| {
-        let table =
-            t.instance.at(&t.instance.zero().unwrap_or_default().iter().map(|z| z + t.deviation).collect::<Vec<_>>());
-        super::build(&table).is_ok_and(|effect| effect.refusal(&array.profile).is_none())
+        let zero = t.instance.zero().unwrap_or_default();
+        let moved: Vec<f64> = zero.iter().map(|z| z + t.deviation).collect();
+        super::build(&t.instance.at(&moved)).is_ok_and(|effect| effect.refusal(&array.profile).is_none())
     };
     let mut all: Vec<Tolerated> = INACCURACIES.iter().flat_map(of).filter(|t| t.deviation > 0.0 && acts(t)).collect();
     all.sort_by_key(sensor);

@@ -3,8 +3,7 @@
 use crate::column::{Analysis, BaseMotion, Column, Layer, Profile};
 use crate::dataset::all_sensor_histories;
 use crate::diagnosis::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
-use crate::effects::Tolerances;
-use crate::effects::{self, Array, Channels, Direction, Effect, Recording, Situation};
+use crate::effects::{self, Array, Channels, Direction, Effect, Recording, Situation, Tolerances};
 use crate::error::Result;
 use crate::numerics::{random, spectrum};
 use crate::records::Split;

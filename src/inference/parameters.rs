@@ -60,12 +60,16 @@ pub struct Tolerance {
 impl Tolerance {
     /// That of what is declared, in a column of `profile`.
     fn of(Tolerated { instance, deviation, damping_ratio, .. }: Tolerated, profile: &Profile) -> Result<Self> {
-        let own = Self { instance, deviation, absolute: 0.0, beside: Vec::new(), bounds: [-FARTHEST, FARTHEST] };
+        let own = Self::new(instance, deviation);
         if damping_ratio == 0.0 {
             return Ok(own);
         }
         let unit = damping_unit(&own.instance, profile)?;
         Ok(Self { absolute: if unit > 0.0 { damping_ratio / unit } else { 0.0 }, ..own })
+    }
+
+    fn new(instance: Instance, deviation: f64) -> Self {
+        Self { instance, deviation, absolute: 0.0, beside: Vec::new(), bounds: [-FARTHEST, FARTHEST] }
     }
 
     /// `[[effects]]` table `z` prior standard deviations from what is declared.
@@ -119,12 +123,9 @@ impl Declared {
         let modes = modes(array, &cuts_m, t.vs_ln);
         // What damping depends on before how much there is: a multiplier is of all of it.
         let mut others = rayleigh(&array.profile)?;
-        others.extend(
-            effects::tolerated(array, t)
-                .into_iter()
-                .map(|own| Tolerance::of(own, &array.profile))
-                .collect::<Result<Vec<_>>>()?,
-        );
+        for own in effects::tolerated(array, t) {
+            others.push(Tolerance::of(own, &array.profile)?);
+        }
         let longest_s = problem.events.iter().map(|e| e.dt_s * e.input.len() as f64).fold(f64::MIN_POSITIVE, f64::max);
         let resolution_hz = 1.0 / longest_s;
         Ok(Self { cuts_m, modes, others, conventions: Vec::new(), resolution_hz, input: array.input.clone() })
@@ -372,13 +373,13 @@ fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
     let fundamental_hz = column.frequency_hz();
     let ratio = column.small_strain_damping_ratio(fundamental_hz);
     let asked = Rayleigh::of_ratio(ratio, [TAU * fundamental_hz, 5.0 * TAU * fundamental_hz]);
-    let of = |name: &str, deviation| {
+    let of = |name: &str, deviation| -> Result<Tolerance> {
         let parameters = effects::find(effects::FREQUENCY_DEPENDENT_DAMPING)?.catalogue.parameters;
         let none = || Error::new(format!("damping that depends on frequency has no `{name}`"));
         let parameter = parameters.iter().find(|p| p.name == name).ok_or_else(none)?;
         let free = vec![Free::new(parameter, parameter.zero.unwrap_or(0.0))];
         let instance = Instance::new(effects::FREQUENCY_DEPENDENT_DAMPING, [], free);
-        Tolerance::of(Tolerated { instance, deviation, damping_ratio: 0.0, is_drawn: false }, profile)
+        Ok(Tolerance::new(instance, deviation))
     };
     let share = Tolerance {
         beside: vec![("beta_s", asked.beta_s), ("ln_ratio", LEFT_LN)],

@@ -2,7 +2,7 @@
 
 use super::foreign::{Foreign, drawn};
 use super::{Truth, draw};
-use crate::effects::{self, Array, Instance};
+use crate::effects::{self, Array, Instance, Tolerances};
 use crate::error::{Context, Error, Result};
 use crate::numerics::random;
 use rand::seq::SliceRandom;
@@ -182,7 +182,7 @@ impl Cell {
 
 impl Case {
     /// Everything that moves this twin from the declared model: drawn tolerances, then effects.
-    pub fn tables(&self, array: &Array, tolerances: &crate::effects::Tolerances) -> Vec<Table> {
+    pub fn tables(&self, array: &Array, tolerances: &Tolerances) -> Vec<Table> {
         let mut tables = draw(array, tolerances, self.truth.seed);
         tables.extend(self.truth.effects.clone());
         tables
