@@ -295,10 +295,10 @@ impl<'a> Answer<'_, 'a> {
 
     /// Those effects of `fit` that are `claimed`, with their intervals.
     fn found(&self, fit: &Fit<'a>, members: &[Member<'_, 'a>], claimed: &[usize]) -> Vec<Found> {
+        let by_prior = PRIOR_RATIOS.map(|ratio| fit.with_priors(ratio));
         let of = |index: usize| {
             let instance = &fit.model.effects[index];
             let (start, intervals) = (fit.model.start(index), averaged(fit, index, members));
-            let by_prior = PRIOR_RATIOS.map(|ratio| fit.with_priors(ratio));
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
                 let (x, p) = (fit.x[start + i], free.parameter);
                 let [low, high] = p.bounds();

@@ -314,7 +314,13 @@ impl Fit<'_> {
 
     /// The most probable coordinates were every prior `ratio` times as wide, by one step from here.
     pub fn with_priors(&self, ratio: f64) -> Vec<f64> {
-        let moved = around(&self.model, &self.x, &self.g, ratio).highest(f64::INFINITY);
+        let mut density = around(&self.model, &self.x, &self.g);
+        for (i, [mean, sd]) in self.model.prior().into_iter().enumerate() {
+            let more = (ratio.powi(-2) - 1.0) / (sd * sd);
+            density.a[(i, i)] += more;
+            density.gradient[i] -= more * (self.x[i] - mean);
+        }
+        let moved = density.highest(f64::INFINITY);
         moved.map_or(self.x.clone(), |(dx, _)| self.x.iter().zip(dx).map(|(x, d)| x + d).collect())
     }
 
@@ -377,21 +383,19 @@ pub fn gradient(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> Vec<f64> {
     model.prior().iter().zip(x).enumerate().map(|(i, ([mean, sd], x))| g[(i, side)] - (x - mean) / sd.powi(2)).collect()
 }
 
-/// ln of the posterior density around `x`, every prior `ratio` times as wide as it is.
-fn around(model: &Model<'_>, x: &[f64], g: &Mat<f64>, ratio: f64) -> Quadratic {
-    let (prior, n) = (model.prior(), x.len());
-    let known = |i: usize| (ratio * prior[i][1]).powi(-2);
+/// ln of the posterior density around `x`.
+fn around(model: &Model<'_>, x: &[f64], g: &Mat<f64>) -> Quadratic {
     Quadratic {
-        a: Mat::from_fn(n, n, |i, j| g[(i, j)] + if i == j { known(i) } else { 0.0 }),
-        gradient: (0..n).map(|i| g[(i, n)] - (x[i] - prior[i][0]) * known(i)).collect(),
+        a: information(model, g),
+        gradient: gradient(model, x, g),
         bounds: model.room(x),
-        size: prior.iter().map(|[_, sd]| ratio * sd).collect(),
+        size: model.prior().iter().map(|[_, sd]| *sd).collect(),
     }
 }
 
 /// The step from `x` within `radius` prior standard deviations and the bounds, and what it is expected to gain.
 fn step(model: &Model<'_>, x: &[f64], g: &Mat<f64>, radius: f64) -> (Vec<f64>, f64) {
-    let Some((dx, gain)) = around(model, x, g, 1.0).highest(radius) else { return (x.to_vec(), 0.0) };
+    let Some((dx, gain)) = around(model, x, g).highest(radius) else { return (x.to_vec(), 0.0) };
     (x.iter().zip(dx).map(|(x, d)| x + d).collect(), gain)
 }
 
