@@ -28,7 +28,6 @@ const ROUNDING: f64 = 1e-9;
 ///
 /// Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 4.2, for p-values by draws.
 /// Check:  `p_values_of_what_chance_brings_are_uniform` in `linear_gaussian`.
-#[derive(Clone)]
 pub struct Null(Vec<f64>);
 
 impl Null {
@@ -51,8 +50,8 @@ impl Null {
         };
         let alike = Mat::from_fn(count, count, alike);
         let axes = alike.self_adjoint_eigen(Side::Lower).ok()?;
-        let root = |i: usize, k: usize| axes.U()[(i, k)] * (axes.S()[k].max(0.0) * variance[i]).sqrt();
-        let root = Mat::from_fn(count, count, root);
+        let entry = |i: usize, k: usize| axes.U()[(i, k)] * (axes.S()[k].max(0.0) * variance[i]).sqrt();
+        let root: Vec<Vec<f64>> = (0..count).map(|i| (0..count).map(|k| entry(i, k)).collect()).collect();
         let ln_odds = |i: usize, score: f64| {
             let curvature = variance[i] + known(i);
             let [low, high] = density.bounds[n + i];
@@ -63,7 +62,7 @@ impl Null {
         let draw = |number: usize| {
             let normal = StandardNormal.sample_iter(random::stream(number as u64, "null of a competition"));
             let z: Vec<f64> = normal.take(count).collect();
-            let score = |i: usize| (0..count).map(|k| root[(i, k)] * z[k]).sum::<f64>();
+            let score = |i: usize| root[i].iter().zip(&z).map(|(r, z)| r * z).sum::<f64>();
             (0..count).map(|i| ln_odds(i, score(i))).fold(f64::NEG_INFINITY, f64::max)
         };
         let mut largest: Vec<f64> = (0..DRAWS).into_par_iter().map(draw).collect();
@@ -84,7 +83,9 @@ impl<'a> Competition<'a> {
     /// looked around, and where the linear problem says nothing of the effect.
     pub fn p_value(&self, fit: &Fit<'a>, index: usize) -> Option<f64> {
         let effects = &fit.model.effects;
-        let _ = Some(&effects[index]).filter(|effect| is_linear(effect))?;
+        if !is_linear(&effects[index]) {
+            return None;
+        }
         let without: Vec<Instance> = [&effects[..index], &effects[index + 1..]].concat();
         let part = &self.fits[self.known(&without)?];
         let (_, null) = self.nulls.iter().find(|(set, _)| is_same_set(set, &without))?;
