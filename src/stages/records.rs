@@ -2,8 +2,7 @@
 
 use super::artifact::write_json;
 use super::instrument::{Instrument, by_event};
-use crate::effects;
-use crate::effects::Tolerances;
+use crate::effects::{self, Tolerances};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, SensorsSection};
 use crate::pipeline::{Stage, Task};
