@@ -22,6 +22,31 @@ pub struct Features {
     pub softenings: Vec<SofteningZone>,
     /// Strength that grows with the strain rate.
     pub rates: Vec<RateZone>,
+    /// Boundaries between layers that lie elsewhere than declared.
+    pub boundaries: Vec<MovedBoundary>,
+}
+
+impl Features {
+    /// Where a declared depth lies, m: with its boundary, where there is one that has moved.
+    pub(crate) fn depth_m(&self, declared_m: f64) -> f64 {
+        let own = self.boundaries.iter().filter(|b| (b.declared_m - declared_m).abs() <= MovedBoundary::NEAR_M);
+        declared_m + own.map(|b| b.offset_m).sum::<f64>()
+    }
+}
+
+/// A boundary between layers that lies elsewhere than declared; the layers of a profile are where they are, not where they were declared.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct MovedBoundary {
+    /// Declared depth, m.
+    pub declared_m: f64,
+    /// How much deeper it lies, m.
+    pub offset_m: f64,
+}
+
+impl MovedBoundary {
+    /// How far from a boundary its depth may be named, m: layers are not cut closer to one another.
+    pub(crate) const NEAR_M: f64 = 0.02;
 }
 
 /// A single-degree-of-freedom structure standing on the surface.

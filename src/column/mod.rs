@@ -45,7 +45,7 @@ mod step;
 pub use analysis::Analysis;
 pub use downgoing::Downgoing;
 pub use failure::{Cause, Failure};
-pub use features::{Container, Features, RateZone, Slip, SofteningZone, Structure};
+pub use features::{Container, Features, MovedBoundary, RateZone, Slip, SofteningZone, Structure};
 pub use linear::Slice;
 pub use profile::{Layer, Profile, Rayleigh, Vertical};
 pub(crate) use profile::{is_uniform, uniform};

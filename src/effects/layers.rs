@@ -82,8 +82,9 @@ pub(super) fn cut(profile: &mut Profile, depth_m: f64) {
     }
 }
 
-/// The layers between two depths, cut there.
+/// The layers between two declared depths, cut there.
 pub(super) fn between(profile: &mut Profile, top_m: f64, bottom_m: f64) -> impl Iterator<Item = &mut Layer> {
+    let [top_m, bottom_m] = [top_m, bottom_m].map(|declared_m| profile.features.depth_m(declared_m));
     cut(profile, top_m);
     cut(profile, bottom_m);
     let mut depth = 0.0;

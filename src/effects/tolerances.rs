@@ -11,6 +11,8 @@ use serde::{Deserialize, Serialize};
 pub struct Tolerances {
     /// ln of the shear-wave velocity of a layer.
     pub vs_ln: f64,
+    /// Depth of a boundary between layers, m.
+    pub boundary_m: f64,
     /// ln of the small-strain damping.
     pub damping_ln: f64,
     /// ln of a sensor's gain.
@@ -31,10 +33,17 @@ impl Tolerances {
     pub const FARTHEST: f64 = 2.5;
 }
 
+/// Prior standard deviation of the depth of a boundary in a log that tells velocities metre by metre: equally likely anywhere in that metre,
+/// 1/√12 of it.
+///
+/// Source: Nigbor and Imai (1994), The suspension P-S velocity logging method, for receivers a metre apart.
+const BOUNDARY_M: f64 = 0.3;
+
 impl Default for Tolerances {
     fn default() -> Self {
         Self {
             vs_ln: 0.05,
+            boundary_m: BOUNDARY_M,
             damping_ln: 0.3,
             gain_ln: 0.01,
             clock_s: 0.001,
@@ -81,6 +90,7 @@ const INACCURACIES: &[Inaccuracy] = &[
         damping_ratio: DAMPING_RATIO,
         ..Inaccuracy::drawn("small_strain_damping", "multiplier", |t| t.damping_ln)
     },
+    Inaccuracy::drawn("interface_depth", "offset_m", |t| t.boundary_m),
     Inaccuracy::kept("nonlinearity", "ln_gamma_ref", |_| NONLINEARITY_LN),
     Inaccuracy::kept("curve_shape", "ln_curvature", |_| CURVATURE_LN),
     Inaccuracy::kept("curve_shape", "ln_hysteresis", |_| HYSTERESIS_LN),
@@ -166,5 +176,11 @@ mod tests {
         let exact = Tolerances { gain_ln: 0.0, ..Tolerances::default() };
         let few = names(&array(&[0.0], &["EW"]), &exact);
         assert_eq!(few, [&column[..], &["offset_s base", "offset_s at 0"]].concat());
+        // Every boundary that may be named may be off.
+        let mut layered = array(&[0.0], &["EW"]);
+        layered.profile.layers[0].thickness_m = 8.0;
+        layered.profile.layers.push(Layer::plain("hyperbolic", 12.0, 1900.0, 300.0));
+        let layered = names(&layered, &exact);
+        assert_eq!(layered[..2], ["multiplier ", "offset_m at 8.0 m"]);
     }
 }

@@ -3,7 +3,7 @@
 //! | parameter                        | coordinate                | prior                                            |
 //! |----------------------------------|---------------------------|--------------------------------------------------|
 //! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`super::depth_modes::COMMON_VELOCITY_LN`] for all together |
-//! | small-strain damping, reference strain, shape of curves; gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1) of what [`effects::tolerated`] has |
+//! | small-strain damping, depth of boundaries, reference strain, shape of curves; gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1) of what [`effects::tolerated`] has |
 //! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and all, [`rayleigh`] |
 //! | frequencies at which it meets the declared ratio | standard deviations | N(0, 1), [`SHIFT_LN`] |
 //! | share of what strays that is of another origin | –   | N(0, [`ADDED_SHARE`]) between nothing and all    |

@@ -145,6 +145,7 @@ fn tolerances(site: &Site, problems: &mut Vec<Problem>) {
     let t = &site.tolerances;
     let values = [
         ("vs_ln", t.vs_ln, 0.5),
+        ("boundary_m", t.boundary_m, 10.0),
         ("damping_ln", t.damping_ln, 2.0),
         ("gain_ln", t.gain_ln, 1.0),
         ("clock_s", t.clock_s, 1.0),

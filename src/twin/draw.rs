@@ -9,7 +9,7 @@ use toml::Table;
 const LARGEST: f64 = 0.7;
 
 /// Tables of `[[effects]]` that move what `array` declares within `tolerances`, drawn under `seed`: each layer's velocity,
-/// the damping, and gain, clock and azimuth of every sensor.
+/// the damping, the depth of each boundary, and gain, clock and azimuth of every sensor.
 pub fn draw(array: &Array, tolerances: &Tolerances, seed: u64) -> Vec<Table> {
     let mut random = random::stream(seed, "twin draws");
     let mut normal = |sd: f64| -> f64 {

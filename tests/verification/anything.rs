@@ -82,6 +82,7 @@ fn any_features() -> impl Strategy<Value = Features> {
             container: Container { mass_kg_m2: container, stiffness_pa: 100.0 * container },
             softenings: vec![SofteningZone { top_m: 0.0, bottom_m: 5.0, ru_at_reference: ru, exponent: 1.5 }],
             rates: vec![RateZone { top_m: 1.0, bottom_m: 9.0, law_kind: None, per_log_cycle: rate }],
+            boundaries: Vec::new(),
         },
     );
     prop_oneof![Just(Features::default()), some]
