@@ -76,15 +76,25 @@ pub struct Candidate {
     pub table: toml::Table,
 }
 
-/// A declared value that the records put outside its tolerance.
+/// A declared value that may be off, beside the answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ToleranceAlarm {
-    /// What is out of tolerance, for people.
-    pub what: String,
-    /// Distance from the declared value in prior standard deviations.
+pub struct DeclaredValue {
+    /// Name of the effect that moves it.
+    pub kind: String,
+    /// Where it sits; empty for the whole column.
+    pub target: String,
+    /// Parameter of the effect.
+    pub parameter: String,
+    /// Distance from what is declared, prior standard deviations.
     pub deviations: f64,
-    /// The estimate.
+    /// Whether it is at the end of its tolerance: it stands in for something else.
+    pub is_at_end: bool,
+    /// Value of the parameter by the records and the tolerance.
     pub estimate: Estimate,
+    /// By the records and the tolerances of everything else; none where they tell next to nothing of it, and where an effect is named that
+    /// does the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub by_records: Option<Estimate>,
 }
 
 /// What remains beside the answer, in a word.
@@ -167,8 +177,8 @@ pub struct Diagnosis {
     pub candidates: Vec<Candidate>,
     /// Share of the power of the recalibrated model's residual that the named effects explain.
     pub explained_share: Option<f64>,
-    /// Declared values outside their tolerance.
-    pub tolerance_alarms: Vec<ToleranceAlarm>,
+    /// Every declared value that may be off: velocities, then the others.
+    pub declared: Vec<DeclaredValue>,
     /// What remains beside the answer, where the diagnosis says it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<Rest>,
@@ -182,7 +192,7 @@ impl Diagnosis {
     pub(crate) fn made_up(given: serde_json::Value) -> Self {
         let mut all = serde_json::json!({
             "verdict": "none", "effects": [], "ambiguity": [], "nuisances": [], "corrected_nuisances": [],
-            "candidates": [], "explained_share": null, "tolerance_alarms": [], "notes": [],
+            "candidates": [], "explained_share": null, "declared": [], "notes": [],
         });
         given.as_object().into_iter().flatten().for_each(|(key, value)| all[key] = value.clone());
         serde_json::from_value(all).expect("a diagnosis")

@@ -1,6 +1,7 @@
 //! From fitted models to an answer: what is named, with intervals, and what remains.
 
 mod claims;
+mod declared;
 mod kinds;
 
 use super::competition::Competition;
@@ -14,13 +15,13 @@ use super::recalibration::recalibrated;
 use super::spread::{Spread, band_hz, residual_powers};
 use super::weights::Expected;
 use crate::diagnosis::{
-    Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, ToleranceAlarm,
-    Verdict,
+    Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, Verdict,
 };
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
+use declared::declared_values;
 use kinds::{Masses, besides, is_taken, known_kinds};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -133,7 +134,7 @@ impl<'a> Answer<'_, 'a> {
             corrected_nuisances: claims.recalibrated(answer),
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
-            tolerance_alarms: strained(answer),
+            declared: declared_values(answer, &self.groups()),
             notes: [rest.sentence()]
                 .into_iter()
                 .chain(open.into_iter().flatten())
@@ -283,9 +284,14 @@ impl<'a> Answer<'_, 'a> {
         }
     }
 
+    /// Events of the records.
+    fn groups(&self) -> Vec<usize> {
+        self.forward.records.iter().map(|at| at.group).collect()
+    }
+
     /// Models that are not much less probable than `fit`.
     fn members(&self, fit: &Fit<'_>) -> Vec<Member<'_, 'a>> {
-        let groups: Vec<usize> = self.forward.records.iter().map(|at| at.group).collect();
+        let groups = self.groups();
         let highest = self.competition.log_posterior(fit);
         let odds = |other: &Fit<'_>| (self.competition.log_posterior(other) - highest).exp();
         let all = self.competition.fits.iter().chain(&self.competition.modes);
@@ -330,32 +336,6 @@ fn of_another_origin(fit: &Fit<'_>) -> Estimate {
     let ci95 = [value - half, value + half].map(|end| end.clamp(0.0, 1.0));
     let by_prior = Some(PRIOR_RATIOS.map(|ratio| fit.with_priors(ratio)[at]));
     Estimate { value, unit: String::new(), ci95, by_prior }
-}
-
-/// Tolerances of other things than velocities at whose end the records put the declared value.
-fn strained(fit: &Fit<'_>) -> Vec<ToleranceAlarm> {
-    let declared = fit.model.declared;
-    let covariance = fit.covariance();
-    let by_prior = PRIOR_RATIOS.map(|ratio| fit.with_priors(ratio));
-    let of = |(i, tolerance): (usize, &super::parameters::Tolerance)| {
-        let at = declared.n_mode() + i;
-        let deviations = fit.x[at];
-        let parameter = tolerance.instance.free[0].parameter;
-        let half = NORMAL * covariance.as_ref().map_or(0.0, |c| c[(at, at)].sqrt());
-        let value = |z: f64| parameter.value(tolerance.coordinate(z));
-        let what = format!("{} {}", tolerance.instance.kind.replace('_', " "), tolerance.instance.place());
-        fit.model.is_strained(&fit.x, at).then(|| ToleranceAlarm {
-            what: what.trim().to_string(),
-            deviations: deviations.abs(),
-            estimate: Estimate {
-                value: value(deviations),
-                unit: parameter.unit.to_string(),
-                ci95: [value(deviations - half), value(deviations + half)],
-                by_prior: Some(by_prior.each_ref().map(|x| value(x[at]))),
-            },
-        })
-    };
-    declared.others.iter().enumerate().filter_map(of).collect()
 }
 
 #[cfg(test)]

@@ -100,21 +100,31 @@ fn quantile(mixture: &[Normal], probability: f64) -> f64 {
 /// Half widths of 95 % intervals of the coordinates.
 pub fn half_widths(fit: &Fit<'_>, groups: &[usize]) -> Vec<f64> {
     let n = fit.x.len();
+    let each = |i: usize| (0..n).map(|j| f64::from(u8::from(i == j))).collect();
+    half_widths_along(fit, groups, &(0..n).map(each).collect::<Vec<_>>())
+}
+
+/// Half widths of 95 % intervals of sums of coordinates with these factors: by the curvature of the cost, or by what each event left out
+/// changes, whichever is wider; `groups` are the events of the records.
+pub fn half_widths_along(fit: &Fit<'_>, groups: &[usize], directions: &[Vec<f64>]) -> Vec<f64> {
     let covariance = fit.covariance();
     let left_out = fit.without_each_event(groups);
     let e = left_out.len() as f64;
-    (0..n)
-        .map(|i| {
-            let curved = NORMAL * covariance.as_ref().map_or(f64::INFINITY, |c| c[(i, i)].sqrt());
-            if left_out.len() < 2 {
-                return curved;
-            }
-            let mean = left_out.iter().map(|x| x[i]).sum::<f64>() / e;
-            let square: f64 = left_out.iter().map(|x| (x[i] - mean).powi(2)).sum();
-            let jackknife = ((e - 1.0) / e * square).sqrt() * t_quantile(0.975, left_out.len() - 1);
-            curved.max(jackknife)
-        })
-        .collect()
+    let of = |direction: &Vec<f64>| {
+        let told: Vec<usize> = (0..direction.len()).filter(|i| direction[*i] != 0.0).collect();
+        let sum = |of: &dyn Fn(usize) -> f64| told.iter().map(|i| direction[*i] * of(*i)).sum::<f64>();
+        let variance = covariance.as_ref().map_or(f64::INFINITY, |c| sum(&|i| sum(&|j| c[(i, j)])));
+        let curved = NORMAL * variance.sqrt();
+        if left_out.len() < 2 {
+            return curved;
+        }
+        let values: Vec<f64> = left_out.iter().map(|x| sum(&|i| x[i])).collect();
+        let mean = values.iter().sum::<f64>() / e;
+        let square: f64 = values.iter().map(|v| (v - mean).powi(2)).sum();
+        let jackknife = ((e - 1.0) / e * square).sqrt() * t_quantile(0.975, left_out.len() - 1);
+        curved.max(jackknife)
+    };
+    directions.iter().map(of).collect()
 }
 
 #[cfg(test)]

@@ -324,6 +324,12 @@ impl Fit<'_> {
         moved.map_or(self.x.clone(), |(dx, _)| self.x.iter().zip(dx).map(|(x, d)| x + d).collect())
     }
 
+    /// The most probable coordinates were there no ends to their ranges, by one step from here.
+    pub fn beyond_bounds(&self) -> Vec<f64> {
+        let step = solved(&information(&self.model, &self.g), &gradient(&self.model, &self.x, &self.g));
+        step.map_or(self.x.clone(), |dx| self.x.iter().zip(dx).map(|(x, d)| x + d).collect())
+    }
+
     /// Coordinates when each event in turn is left out, by one step from here; `groups` are the events of the records.
     pub fn without_each_event(&self, groups: &[usize]) -> Vec<Vec<f64>> {
         let of = |event: usize| {

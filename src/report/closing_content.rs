@@ -29,8 +29,8 @@ pub struct Closing {
     pub field: Option<Field>,
     /// Transfer functions of weak events, one row a component, sensor and model.
     pub transfer: Vec<TransferRow>,
-    /// Declared values outside their tolerance: what, how many standard deviations, the estimate.
-    pub out_of_tolerance: Vec<(String, f64, Interval)>,
+    /// What the records say of what is declared.
+    pub declared: Vec<DeclaredRow>,
     /// What remains beside the answer.
     pub rest: Option<Rest>,
     /// Corrections without physical meaning, where nothing named explains the records.
@@ -51,6 +51,24 @@ pub struct Interval {
     pub ci95: [f64; 2],
     /// The value were every prior half and twice as wide.
     pub by_prior: Option<[f64; 2]>,
+}
+
+/// A declared value that may be off.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DeclaredRow {
+    /// What it is.
+    pub kind: String,
+    /// Where it sits; empty for the whole column.
+    pub target: String,
+    /// Parameter of the effect that moves it.
+    pub parameter: String,
+    /// Whether it is at the end of its tolerance.
+    pub is_at_end: bool,
+    /// By the records and its tolerance.
+    pub estimate: Interval,
+    /// By the records without its tolerance, where they tell it.
+    pub by_records: Option<Interval>,
 }
 
 /// An effect that was named.

@@ -1,16 +1,16 @@
-//! The end of the loop: declared values out of tolerance, and what remains.
+//! The end of the loop: what the records say of declared values, and what remains.
 
 use maud::{Markup, html};
 
 use super::chart::{self, Axis, Curve, Frame, Marks};
 use super::closing::{claim, interval};
-use super::closing_content::{Closing, Generic, Interval, Rest};
+use super::closing_content::{Closing, DeclaredRow, Generic, Rest};
 use super::figure::{Key, figure, legend};
 use super::number;
 
 /// Whether there is anything to say.
 pub(super) fn is_any(closing: &Closing) -> bool {
-    !closing.out_of_tolerance.is_empty() || closing.rest.is_some() || closing.generic.is_some()
+    !closing.declared.is_empty() || closing.rest.is_some() || closing.generic.is_some()
 }
 
 /// The subsection.
@@ -20,7 +20,7 @@ pub(super) fn rest(closing: &Closing) -> Markup {
     }
     html! {
         h3 id="loop-rest" { "What remains" }
-        @if !closing.out_of_tolerance.is_empty() { (tolerance(&closing.out_of_tolerance)) }
+        @if !closing.declared.is_empty() { (declared(&closing.declared)) }
         @if let Some(rest) = &closing.rest { (remains(rest)) }
         @if let Some(generic) = &closing.generic { (without_a_name(generic)) }
     }
@@ -44,11 +44,20 @@ fn without_a_name(generic: &Generic) -> Markup {
     }
 }
 
-fn tolerance(alarms: &[(String, f64, Interval)]) -> Markup {
+fn declared(rows: &[DeclaredRow]) -> Markup {
     html! {
-        p { "Declared values that the records put outside their tolerance:" }
-        ul { @for (what, deviations, estimate) in alarms {
-            li { (what) ": " (interval(estimate)) ", " (number::fixed(*deviations, 1)) " standard deviations from the declared value" }
+        p { "What the records say of each declared value that may be off, beside the answer: with its tolerance, and by the records alone where they tell it." }
+        div.scroll { table {
+            caption { "Declared values; in brackets 95 % intervals." }
+            thead { tr { th scope="col" { "Declared" } th scope="col" { "Parameter" } th scope="col" { "With its tolerance" } th scope="col" { "By the records alone" } } }
+            tbody { @for row in rows {
+                tr {
+                    td { (row.kind) " " (row.target) }
+                    td { (row.parameter.replace('_', " ")) }
+                    td { (interval(&row.estimate)) @if row.is_at_end { " (at its end)" } }
+                    td { @if let Some(alone) = &row.by_records { (interval(alone)) } }
+                }
+            } }
         } }
     }
 }

@@ -7,7 +7,8 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::closing_content::{
-    Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest, TransferRow,
+    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest,
+    TransferRow,
 };
 
 /// The whole report of one site.

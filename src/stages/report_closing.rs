@@ -1,14 +1,15 @@
 //! From a diagnosis and a comparison to the report's section on closing the loop.
 
 use super::{compare, diagnose};
-use crate::diagnosis::{Diagnosis, Estimate, Six, Summary, Verdict};
+use crate::diagnosis::{DeclaredValue, Diagnosis, Estimate, Six, Summary, Verdict};
 use crate::effects::{self, Class};
 use crate::error::Result;
 use crate::metrics::{BiasSigma, LnRatio, SensorTransfer};
 use crate::pipeline::Task;
 use crate::records::Split;
 use crate::report::content::{
-    Candidate, Change, Closing, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest, TransferRow,
+    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest,
+    TransferRow,
 };
 
 /// The section's content, where the pipeline closes the loop.
@@ -46,7 +47,6 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
             notes: g.notes(),
         }
     });
-    let alarms = diagnosis.tolerance_alarms.iter();
     Ok(Some(Closing {
         verdict: word(diagnosis.verdict).into(),
         effects: named(&diagnosis),
@@ -66,7 +66,7 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
         changes: summary.changes.iter().filter(|c| c.is_told()).map(change).collect(),
         field: field(summary),
         transfer: transfer(summary),
-        out_of_tolerance: alarms.map(|a| (a.what.clone(), a.deviations, interval(&a.estimate))).collect(),
+        declared: diagnosis.declared.iter().map(declared).collect(),
         rest: diagnosis.rest.as_ref().map(rest),
         generic,
         notes: diagnosis.notes,
@@ -172,6 +172,17 @@ fn key(kind: &str) -> String {
 fn interval(estimate: &Estimate) -> Interval {
     let Estimate { value, ci95, by_prior, .. } = *estimate;
     Interval { value, unit: estimate.unit.clone(), ci95, by_prior }
+}
+
+fn declared(found: &DeclaredValue) -> DeclaredRow {
+    DeclaredRow {
+        kind: found.kind.replace('_', " "),
+        target: found.target.clone(),
+        parameter: found.parameter.clone(),
+        is_at_end: found.is_at_end,
+        estimate: interval(&found.estimate),
+        by_records: found.by_records.as_ref().map(interval),
+    }
 }
 
 fn named(diagnosis: &Diagnosis) -> Vec<NamedEffect> {

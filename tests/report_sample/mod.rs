@@ -289,7 +289,23 @@ fn closing() -> Closing {
             sigma: 0.28,
             n_event: 11,
         }],
-        out_of_tolerance: vec![("shear-wave velocity at 0–6 m".into(), -3.8, interval(-0.13, 0.03, ""))],
+        declared: vec![
+            DeclaredRow {
+                kind: "layer velocity".into(),
+                target: "0.0–6.0 m".into(),
+                parameter: "ln_factor".into(),
+                is_at_end: true,
+                estimate: interval(-0.13, 0.03, ""),
+                by_records: Some(interval(-0.15, 0.04, "")),
+            },
+            DeclaredRow {
+                kind: "sensor orientation".into(),
+                target: "FA1-5".into(),
+                parameter: "azimuth_deg".into(),
+                estimate: interval(0.4, 1.8, "°"),
+                ..DeclaredRow::default()
+            },
+        ],
         rest: Some(Rest {
             sentence: "What remains does not follow the base in the same way in all events.".into(),
             share: 0.21,
