@@ -44,8 +44,8 @@ impl Event {
     }
 }
 
-/// True motions at the output sensors in every event, `[sensor][step]`, m/s²; `None` where the column did not finish.
-pub type Motions = Vec<Option<Vec<Vec<f64>>>>;
+/// True motions at the output sensors in every event, `[sensor][step]`, m/s²; or why the column did not finish.
+pub type Motions = Vec<std::result::Result<Vec<Vec<f64>>, String>>;
 
 /// Power spectral density of a sensor's noise.
 #[derive(Debug, Clone, PartialEq)]
@@ -90,7 +90,7 @@ impl NoiseSpectrum {
 /// The nonlinear column, run by whoever knows how to cache it.
 pub trait Replay: Sync {
     /// True motions at the output sensors of every event of the problem, in its order: `[sensor][step]` at the event's own
-    /// time step and length, m/s²; `None` where the column did not finish.
+    /// time step and length, m/s²; or why the column did not finish.
     ///
     /// `effects` come on top of the declared ones. Soil and boundary effects edit the column and `sensor_depth` moves
     /// the place that is read; of the sensor effects only those of the **input** sensor count, undone before the column
@@ -109,7 +109,7 @@ pub trait Replay: Sync {
         self.replay(effects)
     }
 
-    /// As [`Replay::replay_roughly`], those events alone that are wanted; the others are `None`, or are there all the same.
+    /// As [`Replay::replay_roughly`], those events alone that are wanted; the others have no motion, or have one all the same.
     ///
     /// # Errors
     /// As [`Replay::replay`].

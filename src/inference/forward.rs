@@ -148,10 +148,10 @@ impl<'a> Forward<'a> {
         let of = |at: &At| {
             let record = &self.groups[at.group].records[at.record];
             let event = &self.problem.events[record.event];
-            let motion = motions
-                .get(record.event)
-                .and_then(Option::as_ref)
-                .ok_or_else(|| Error::new("the column did not finish").at(format!("event `{}`", event.name)))?;
+            let unfinished = |reason: &String| {
+                Error::new("the column did not finish").cause(reason.as_str()).at(format!("event `{}`", event.name))
+            };
+            let motion = motions[record.event].as_ref().map_err(unfinished)?;
             Ok(motion.iter().map(|history| self.bins(*at, history)).collect())
         };
         self.records.iter().map(of).collect()

@@ -142,7 +142,7 @@ impl Replay for Uniform<'_> {
         let damping_ratio = DAMPING * of("small_strain_damping", "multiplier").product::<f64>();
         let passed = |base: &Vec<f64>| {
             let at = |z: &f64| moved(base, [vs_m_s, damping_ratio], *z);
-            Some(self.0.array.depths_m.iter().map(at).collect())
+            Ok(self.0.array.depths_m.iter().map(at).collect())
         };
         Ok(bases(self.0, &effects::build_all(tables)?).iter().map(passed).collect())
     }
@@ -160,7 +160,7 @@ impl Replay for Nonlinear<'_> {
         let bases: Vec<BaseMotion<'_>> =
             self.0.events.iter().map(|e| BaseMotion { dt_s: DT_S, acceleration_m_s2: &e.input }).collect();
         let found = all_sensor_histories(&column, &bases, &self.0.array.depths_m);
-        found.into_iter().map(|histories| Ok(Some(histories?.split_off(1)))).collect()
+        found.into_iter().map(|histories| Ok(Ok(histories?.split_off(1)))).collect()
     }
 }
 

@@ -67,9 +67,9 @@ pub(super) const ENTRY: Entry<dyn Law> = Entry {
 /// | ν, φ, K_w | as in `elastic`     |      |           |
 /// | state  | τ, σ, γ, γ_m, constants, G_m, F, reversals | [10 + 2·24] | Pa, – |
 ///
-/// Limits: no strength and no pore pressure; volumetric response linear; at most 24 open reversals, beyond which the
-/// innermost loop is forgotten; confining stress below 1 kPa counts as 1 kPa.
-/// Check: `tests/verification/masing.rs`: loop area in closed form, closure of inner loops.
+/// Limits: no strength and no pore pressure; volumetric response linear; at most 24 open reversals, loops inside which
+/// enclose nothing; confining stress below 1 kPa counts as 1 kPa.
+/// Check: `tests/verification/masing.rs`: loop area in closed form, closure of inner loops, no jump however many are open.
 /// Source: Darendeli (2001), Development of a new family of normalized modulus reduction and material damping curves;
 /// Matasović & Vucetic (1993), doi 10.1061/(ASCE)0733-9410(1993)119:11(1805); Phillips & Hashash (2009),
 /// doi 10.1016/j.soildyn.2008.12.004, for the form of (2).
@@ -188,10 +188,14 @@ impl Hyperbolic {
         let mut new = branch;
         let at = |i: usize| [reversals[2 * i], reversals[2 * i + 1]];
         // The present branch runs away from its last reversal; on the backbone, away from zero.
-        if (gamma - from[0]) * (from[0] - new.last[0]) < 0.0 {
-            if new.count == MAX_REVERSALS {
-                new.count -= 2;
+        let turns = (gamma - from[0]) * (from[0] - new.last[0]) < 0.0;
+        if turns && new.count == MAX_REVERSALS {
+            // No room for another reversal: it is gone back along the branch, and beyond its beginning along the one before.
+            if (gamma - new.last[0]) * (from[0] - new.last[0]) < 0.0 {
+                new.count -= 1;
+                (new.last, new.before) = (at(new.count - 1), at(new.count - 2)[0]);
             }
+        } else if turns {
             if new.count == 0 {
                 new.gamma_max = from[0].abs();
                 (new.secant, new.factor) = self.reduction(g, gamma_ref, new.gamma_max);

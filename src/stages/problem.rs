@@ -254,8 +254,9 @@ impl Replay for Bench<'_> {
         let wanted = self.events.iter().zip(&is_run).filter(|(_, is_run)| **is_run);
         let events: Vec<Vec<Record>> = wanted.map(|(records, _)| records.clone()).collect();
         let mut found = self.replay_of(&self.rough, &events, effects)?.into_iter();
+        let nothing = || Err("not asked for".to_string());
         let by_record = self.events.iter().zip(is_run).flat_map(|(r, is_run)| std::iter::repeat_n(is_run, r.len()));
-        Ok(by_record.map(|is_run| if is_run { found.next().flatten() } else { None }).collect())
+        Ok(by_record.map(|is_run| if is_run { found.next().unwrap_or_else(nothing) } else { nothing() }).collect())
     }
 }
 
@@ -277,7 +278,7 @@ impl Bench<'_> {
                 history.resize(record.n_step(), 0.0);
                 history
             };
-            Some(response.ok()?.iter().map(fitted).collect())
+            response.map(|histories| histories.iter().map(fitted).collect())
         };
         Ok(undone.iter().flatten().zip(shaken).map(at_records).collect())
     }

@@ -55,3 +55,31 @@ fn an_inner_loop_leaves_no_trace() {
     let backbone = walk(law.as_ref(), &[3e-3], 100).0;
     assert!((beyond[2] / backbone[0] - 1.0).abs() < 1e-9);
 }
+
+#[test]
+fn stress_follows_strain_however_many_loops_are_open() {
+    // What rings down opens a loop inside a loop every half cycle. Then it grows again, and closes them all.
+    let law = build("hyperbolic", "gamma_ref = 1e-3");
+    let size = |k: i32| 1e-3 * 0.9_f64.powi(k);
+    let side = |k: i32| if k % 2 == 0 { 1.0 } else { -1.0 };
+    let down = (0..60).map(|k| side(k) * size(k));
+    let up = (0..60).map(|k| side(k) * size(59 - k) * 1.07);
+    let corners: Vec<f64> = down.chain(up).chain([2e-3]).collect();
+    let mut state = vec![0.0; law.n_state()];
+    law.start(&point(), &mut state).expect("a start");
+    let modulus_pa = point().density_kg_m3 * point().vs_m_s.powi(2);
+    let (mut next, mut gamma, mut tau_pa, mut steepest) = (state.clone(), 0.0, 0.0, 0.0_f64);
+    for corner in corners {
+        let d = (corner - gamma) / 200.0;
+        for _ in 0..200 {
+            let there = law.update(Increment::new(d, 0.0), &state, &mut next).expect("a response").tau_pa;
+            steepest = steepest.max((there - tau_pa).abs() / (modulus_pa * d.abs()));
+            tau_pa = there;
+            std::mem::swap(&mut state, &mut next);
+        }
+        gamma = corner;
+    }
+    assert!(steepest < 1.0 + 1e-9, "{steepest}");
+    let backbone = walk(law.as_ref(), &[2e-3], 100).0[0];
+    assert!((tau_pa / backbone - 1.0).abs() < 1e-9, "{tau_pa} {backbone}");
+}
