@@ -27,7 +27,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        7
+        8
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -25,7 +25,7 @@ impl Stage for Replay {
     }
 
     fn version(&self) -> u32 {
-        7
+        8
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -16,7 +16,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 /// Kind and version of the cache entries.
-const REPLAY: (&str, u32) = ("replayed", 9);
+const REPLAY: (&str, u32) = ("replayed", 10);
 const FILE: &str = "response_m_s2.f32";
 const CONTENTS: &str = "contents.toml";
 

@@ -19,7 +19,7 @@ use toml::{Table, Value};
 pub struct Simulate;
 
 /// Kind and version of the cache entries of single trajectories.
-const TRAJECTORY: (&str, u32) = ("trajectory", 4);
+const TRAJECTORY: (&str, u32) = ("trajectory", 5);
 /// File of a trajectory in its entry.
 pub const TRAJECTORY_FILE: &str = "trajectory.mcap";
 /// Share of the ensemble that may fail before the stage does.
@@ -35,7 +35,7 @@ impl Stage for Simulate {
     }
 
     fn version(&self) -> u32 {
-        6
+        7
     }
 
     fn reads(&self) -> &'static [&'static str] {
