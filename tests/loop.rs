@@ -90,6 +90,12 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     // The sensor stands as it was put, give or take the degree of the tolerance.
     assert!((azimuth["value"].as_f64().expect("a number") - 22.0).abs() < 4.0, "{azimuth}");
     assert_eq!(found["candidates"][0]["kind"], "sensor_orientation");
+    assert!(effect["p_value"].as_f64().is_some_and(|p| p < 0.01), "{effect}");
+    // How the base is turned is told beside it, though nothing of it is named.
+    let declared = found["declared"].as_array().expect("a list");
+    let is_meant = |v: &&Value| v["kind"] == "sensor_orientation" && v["target"] == "base";
+    let base = declared.iter().find(is_meant).expect("an azimuth of the base");
+    assert!(base["estimate"]["ci95"][0].as_f64() < base["estimate"]["ci95"][1].as_f64(), "{base}");
 
     let medians = &found["summary"]["test_median_nrmse_percent"];
     let median = |name: &str| medians[name].as_f64().expect("a number");

@@ -33,6 +33,8 @@ pub struct Loop {
     pub verdict: Verdict,
     /// Effects that the records ask for.
     pub effects: Vec<Named>,
+    /// Every declared value that may be off, beside what is named.
+    pub declared: Vec<diagnosis::DeclaredValue>,
     /// Kinds that explain the records about as well.
     pub ambiguity: Vec<String>,
     /// Effects that were tried, best first.
@@ -74,6 +76,9 @@ pub struct Named {
     pub target: Option<String>,
     /// Its parameters by name.
     pub parameters: BTreeMap<String, diagnosis::Estimate>,
+    /// Probability that chance brings as much, where that is known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub p_value: Option<f64>,
 }
 
 /// An effect that was tried.
@@ -101,7 +106,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -181,6 +186,7 @@ impl Loop {
             kind: e.kind.clone(),
             target: place(&e.target),
             parameters: e.parameters.clone(),
+            p_value: e.p_value,
         });
         let tried = diagnosis.candidates.iter().map(|c| Tried {
             kind: c.kind.clone(),
@@ -192,6 +198,7 @@ impl Loop {
         Self {
             verdict: diagnosis.verdict,
             effects: named.collect(),
+            declared: diagnosis.declared.clone(),
             ambiguity: diagnosis.ambiguity.clone(),
             candidates: tried.collect(),
             explained_share: diagnosis.explained_share,
