@@ -42,11 +42,11 @@ validation = ["L5", "L6"]
 test = ["L7", "L8"]
 "#;
 
-/// A law that is declared for columns with this damping ratio.
+/// Laws that are declared.
 const ELASTIC: &str = "kind = \"elastic\"\ndamping_ratio = 0.03";
-/// Motions so weak that this law is linear as well.
-const WEAK_M_S2: f64 = 0.002;
 const HYPERBOLIC: &str = "kind = \"hyperbolic\"\nplasticity_index = 20.0\ndamping_ratio = 0.01";
+/// Peaks of motions so weak that the hyperbolic law is linear as well.
+const WEAK_M_S2: f64 = 0.002;
 
 #[derive(Clone)]
 struct Layer {

@@ -45,7 +45,7 @@ pub struct MovedBoundary {
 }
 
 impl MovedBoundary {
-    /// How far from a boundary its depth may be named, m: layers are not cut closer to one another.
+    /// A depth this close to a boundary is that of the boundary, m: thinner layers are not made.
     pub(crate) const NEAR_M: f64 = 0.02;
 }
 

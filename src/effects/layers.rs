@@ -1,11 +1,8 @@
 //! Layers: the ranges of depth that records tell apart, cutting at a depth, and numbers in a layer's law.
 
 use super::Array;
-use crate::column::{Layer, Profile};
+use crate::column::{Layer, MovedBoundary, Profile};
 use std::sync::Arc;
-
-/// Layers thinner than this are not made: a cut this close to a boundary is that boundary, m.
-const THINNEST_M: f64 = 0.02;
 
 /// Velocities of one group of layers differ by this factor from its first one's at most, in ln.
 const ALIKE_LN: f64 = 0.25;
@@ -70,7 +67,7 @@ pub(super) fn cut(profile: &mut Profile, depth_m: f64) {
     let mut top = 0.0;
     for i in 0..profile.layers.len() {
         let bottom = top + profile.layers[i].thickness_m;
-        if depth_m - top > THINNEST_M && bottom - depth_m > THINNEST_M {
+        if depth_m - top > MovedBoundary::NEAR_M && bottom - depth_m > MovedBoundary::NEAR_M {
             let mut lower = profile.layers[i].clone();
             profile.layers[i].thickness_m = depth_m - top;
             lower.thickness_m = bottom - depth_m;

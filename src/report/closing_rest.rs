@@ -3,7 +3,7 @@
 use maud::{Markup, html};
 
 use super::chart::{self, Axis, Curve, Frame, Marks};
-use super::closing::{claim, interval};
+use super::closing::{claim, interval, words};
 use super::closing_content::{Closing, DeclaredRow, Generic, Rest};
 use super::figure::{Key, figure, legend};
 use super::number;
@@ -52,8 +52,8 @@ fn declared(rows: &[DeclaredRow]) -> Markup {
             thead { tr { th scope="col" { "Declared" } th scope="col" { "Parameter" } th scope="col" { "With its tolerance" } th scope="col" { "By the records alone" } } }
             tbody { @for row in rows {
                 tr {
-                    td { (row.kind) " " (row.target) }
-                    td { (row.parameter.replace('_', " ")) }
+                    td { (words(&row.kind)) " " (row.target) }
+                    td { (words(&row.parameter)) }
                     td { (interval(&row.estimate)) @if row.is_at_end { " (at its end)" } }
                     td { @if let Some(alone) = &row.by_records { (interval(alone)) } }
                 }

@@ -176,7 +176,7 @@ fn interval(estimate: &Estimate) -> Interval {
 
 fn declared(found: &DeclaredValue) -> DeclaredRow {
     DeclaredRow {
-        kind: found.kind.replace('_', " "),
+        kind: found.kind.clone(),
         target: found.target.clone(),
         parameter: found.parameter.clone(),
         is_at_end: found.is_at_end,

@@ -291,7 +291,7 @@ fn closing() -> Closing {
         }],
         declared: vec![
             DeclaredRow {
-                kind: "layer velocity".into(),
+                kind: "layer_velocity".into(),
                 target: "0.0–6.0 m".into(),
                 parameter: "ln_factor".into(),
                 is_at_end: true,
@@ -299,7 +299,7 @@ fn closing() -> Closing {
                 by_records: Some(interval(-0.15, 0.04, "")),
             },
             DeclaredRow {
-                kind: "sensor orientation".into(),
+                kind: "sensor_orientation".into(),
                 target: "FA1-5".into(),
                 parameter: "azimuth_deg".into(),
                 estimate: interval(0.4, 1.8, "°"),

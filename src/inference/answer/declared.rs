@@ -31,14 +31,17 @@ pub(super) fn declared_values(fit: &Fit<'_>, groups: &[usize]) -> Vec<DeclaredVa
         .clone()
         .map(|(_, row)| row.iter().copied().chain(std::iter::repeat(0.0)).take(n).collect())
         .collect();
+    let n_range = directions.len();
     let others = declared.n_mode()..declared.n_mode() + declared.others.len();
     directions.extend(others.clone().map(unit));
     let halves = half_widths_along(fit, groups, &directions);
     let along = |x: &[f64], direction: &[f64]| x.iter().zip(direction).map(|(x, d)| x * d).sum::<f64>();
     let of = |instance: &Instance, index: usize, value: &dyn Fn(f64) -> f64| {
-        let (direction, half) = (&directions[index], halves[index]);
+        let direction = &directions[index];
         let z = along(&fit.x, direction);
         let deviation = along(direction, direction).sqrt();
+        // Without a covariance no more is known than before.
+        let half = if halves[index].is_finite() { halves[index] } else { NORMAL * deviation };
         let estimate = |z: f64, half: f64, by_prior| Estimate {
             value: value(z),
             unit: instance.free[0].parameter.unit.to_string(),
@@ -55,20 +58,18 @@ pub(super) fn declared_values(fit: &Fit<'_>, groups: &[usize]) -> Vec<DeclaredVa
             target: instance.place(),
             parameter: instance.free[0].parameter.name.to_string(),
             deviations: z / deviation,
-            is_at_end: false,
+            is_at_end: index.checked_sub(n_range).is_some_and(|i| fit.model.is_strained(&fit.x, others.start + i)),
             estimate: estimate(z, half, Some(by_prior.each_ref().map(|x| value(along(x, direction))))),
             by_records,
         }
     };
-    let n_range = directions.len() - others.len();
     let ranges = velocities.enumerate().map(|(i, (cuts_m, _))| {
         let instance = velocity_between([cuts_m[0], cuts_m[1]]);
         of(&instance, i, &|ln| ln)
     });
     let rest = declared.others.iter().enumerate().map(|(i, tolerance)| {
         let parameter = tolerance.instance.free[0].parameter;
-        let found = of(&tolerance.instance, n_range + i, &|z| parameter.value(tolerance.coordinate(z)));
-        DeclaredValue { is_at_end: fit.model.is_strained(&fit.x, others.start + i), ..found }
+        of(&tolerance.instance, n_range + i, &|z| parameter.value(tolerance.coordinate(z)))
     });
     ranges.chain(rest).collect()
 }
