@@ -225,9 +225,9 @@ impl Instance {
         super::find(self.kind).map_or(Class::Soil, |e| e.catalogue.class)
     }
 
-    /// Whether it changes the motion where sensors sit, and not only what they make of it.
-    pub fn changes_motion(&self) -> bool {
-        self.class().moves_column() || super::build(&self.at(&self.start())).is_ok_and(|effect| effect.moves_sensor())
+    /// Whether it changes how the column is shaken, or where in it a sensor sits.
+    pub fn changes_column(&self) -> bool {
+        super::changes_column(&self.at(&self.start()))
     }
 
     /// The `[[effects]]` table at the given values of the free parameters.

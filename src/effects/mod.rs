@@ -103,6 +103,11 @@ pub trait Effect: Send + Sync {
         None
     }
 
+    /// Whether a further arrival is all it is: the column is shaken as without it.
+    fn is_arrival(&self) -> bool {
+        false
+    }
+
     /// A further arrival at depth `depth_m`, as a factor on the spectrum of the true base motion.
     fn arrival(&self, _depth_m: f64, _frequency_hz: f64) -> Option<Complex<f64>> {
         None
@@ -234,6 +239,11 @@ pub fn changes_motion(table: &toml::Table) -> bool {
     let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
     let class = find(kind).map(|entry| entry.catalogue.class);
     class.is_ok_and(Class::moves_column) || build(table).is_ok_and(|effect| effect.moves_sensor())
+}
+
+/// Whether the effect of `table` changes how the column is shaken, or where in it a sensor sits.
+pub fn changes_column(table: &toml::Table) -> bool {
+    changes_motion(table) && build(table).is_ok_and(|effect| !effect.is_arrival())
 }
 
 /// Builds every table, in order.

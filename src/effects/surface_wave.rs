@@ -111,6 +111,10 @@ impl SurfaceWave {
 }
 
 impl Effect for SurfaceWave {
+    fn is_arrival(&self) -> bool {
+        true
+    }
+
     fn arrival(&self, depth_m: f64, frequency_hz: f64) -> Option<Complex<f64>> {
         let omega = TAU * frequency_hz;
         let size = self.amplitude * (-omega * depth_m / self.velocity_m_s).exp();

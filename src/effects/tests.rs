@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::column::{Analysis, Column, Features, Layer, Rayleigh, Vertical};
+use crate::numerics::random;
 use std::collections::BTreeSet;
 
 fn array() -> Array {
@@ -48,6 +49,19 @@ fn observed(array: &Array, motions: &[Channels], table: &toml::Table, direction:
     let recording =
         Recording { event: "E1", dt_s: 0.01, sensors: &sensors, depths_m: &depths, components: &array.components };
     observe(&recording, motions, &build_all(std::slice::from_ref(table)).unwrap(), direction)
+}
+
+#[test]
+fn what_changes_the_column_is_what_edits_it_or_moves_a_sensor() {
+    let situation = Situation { component: Some(1), order: Some(2.5) };
+    for (array, instance) in all_instances() {
+        let table = instance.draw(&mut random::stream(1, instance.kind));
+        let effect = build(&table).unwrap();
+        let mut profile = array.profile.clone();
+        effect.edit(&mut profile, &situation);
+        let is_changed = profile != array.profile || effect.moves_sensor();
+        assert_eq!(changes_column(&table), is_changed, "{table}");
+    }
 }
 
 #[test]

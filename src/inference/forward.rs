@@ -137,11 +137,11 @@ impl<'a> Forward<'a> {
         &self.groups[at.group].frequencies_hz
     }
 
-    /// Whether an effect of this table moves the column.
+    /// Whether an effect of this table changes how the column is shaken.
     fn is_shaken(&self, table: &Table) -> bool {
         let text = |key: &str| table.get(key).and_then(toml::Value::as_str);
         let input = Some(self.problem.array.input.as_str());
-        effects::changes_motion(table) || text("sensor") == input || text("with") == input
+        effects::changes_column(table) || text("sensor") == input || text("with") == input
     }
 
     fn spectra_of(&self, motions: Motions) -> Result<Vec<Bins>> {
