@@ -40,6 +40,13 @@ impl Covariance {
         }
     }
 
+    /// L x in place.
+    pub fn colour(&self, x: &mut [C64]) {
+        for i in (0..self.n).rev() {
+            x[i] = self.row(i).iter().zip(&*x).map(|(l, x)| l * x).sum();
+        }
+    }
+
     /// ln of the determinant.
     pub fn ln_determinant(&self) -> f64 {
         (0..self.n).map(|i| 2.0 * self.row(i)[i].re.ln()).sum()
@@ -60,6 +67,9 @@ mod tests {
         let x = [C64::new(0.3, -1.0), C64::new(2.0, 0.1), C64::new(-0.4, 0.6)];
         let mut white = x.to_vec();
         sigma.whiten(&mut white);
+        let mut coloured = white.clone();
+        sigma.colour(&mut coloured);
+        assert!(coloured.iter().zip(&x).all(|(a, b)| (a - b).norm() < 1e-12));
         let norm: f64 = white.iter().map(C64::norm_sqr).sum();
         // xᴴ Σ⁻¹ x and ln det Σ by elimination on the dense matrix.
         let mut rows: Vec<Vec<C64>> = (0..3).map(|i| (0..3).map(|j| entry(i, j)).chain([x[i]]).collect()).collect();

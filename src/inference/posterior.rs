@@ -90,11 +90,6 @@ impl<'a> Start<'a> {
         let Fit { model, x, slopes, axes, was_replayed, .. } = found;
         Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes, was_replayed }
     }
-
-    /// From the fit `found`, its slopes taken anew by other weights.
-    pub fn weighed_anew(found: Fit<'a>) -> Self {
-        Self { slopes: Vec::new(), was_replayed: false, ..Self::from(found) }
-    }
 }
 
 /// A point of a fit.
@@ -132,6 +127,16 @@ impl<'a> Fitter<'a> {
     /// What is expected of the residuals of models that take the same channels for the same sensors as `prediction`.
     pub fn spread(&self, prediction: &Prediction) -> Option<&Spread> {
         self.expected.get(channels(prediction)).map(|expected| &expected.spread)
+    }
+
+    /// From the fit `found` that `other` weighed: with the same slopes, in units of its own; anew where these are not told.
+    pub fn weighed_anew(&self, found: Fit<'a>, other: &Self) -> Start<'a> {
+        let [own, other] = [self, other].map(|by| by.weights(&found.prediction));
+        let converted = |slope: &Arc<Rows>| own.converted(slope, &other, &found.prediction).map(Arc::new);
+        match found.slopes.iter().map(converted).collect::<Option<Vec<_>>>() {
+            Some(slopes) => Start::from(Fit { slopes, ..found }),
+            None => Start { slopes: Vec::new(), was_replayed: false, ..Start::from(found) },
+        }
     }
 
     /// What a model predicts.

@@ -1,6 +1,6 @@
 //! What a prediction is compared by: residuals in units of what is expected of them.
 
-use super::coherence::interpolated;
+use super::coherence::{coherent, interpolated};
 use super::covariance::Covariance;
 use super::forward::{At, Forward, Predicted, Prediction};
 use super::spread::{AN_OCTAVE, Places, Spread, band_hz, bands, gains, model_error, noise, powers, seen};
@@ -231,9 +231,52 @@ impl Weights {
         };
         self.records.par_iter().zip(prediction).zip(&self.stands_for).map(of).collect()
     }
+
+    /// Residuals in these units of what changes outputs alone, of which `slopes` are those in units of `other`, at `prediction`: the same
+    /// change of the outputs. `None` where that is not told: what `other` did not count.
+    pub fn converted(&self, slopes: &Rows, other: &Self, prediction: &Prediction) -> Option<Rows> {
+        let records = self.records.par_iter().zip(&other.records);
+        records.zip(slopes).zip(prediction).map(|(((own, other), slopes), p)| own.converted(slopes, other, p)).collect()
+    }
+}
+
+impl Band {
+    /// Power that is expected of the recorded motion where that of the output is `predicted`.
+    fn expected(&self, predicted: f64, added_share: f64) -> f64 {
+        (predicted + self.noise + added_share * self.added).max(f64::MIN_POSITIVE)
+    }
 }
 
 impl Record {
+    /// See [`Weights::converted`].
+    fn converted(&self, slopes: &[f64], other: &Self, p: &Predicted) -> Option<Vec<f64>> {
+        let n = p.outputs.len();
+        let (of_bins, of_bands) = slopes.split_at_checked(2 * n * self.sigma.len())?;
+        let mut rows = Vec::with_capacity(slopes.len());
+        let mut change = vec![C64::default(); n];
+        for (k, bin) in of_bins.chunks_exact(2 * n).enumerate() {
+            change.iter_mut().zip(bin.chunks_exact(2)).for_each(|(c, pair)| *c = C64::new(pair[0], pair[1]));
+            other.sigma[k].colour(&mut change);
+            for (s, change) in change.iter_mut().enumerate() {
+                *change *=
+                    coherent(self.coherence[s][k], p.added_share) / coherent(other.coherence[s][k], p.added_share);
+            }
+            self.sigma[k].whiten(&mut change);
+            rows.extend(change.iter().flat_map(|c| [c.re, c.im]));
+        }
+        let pairs = self.bands.iter().zip(&other.bands).enumerate();
+        let bands = pairs.flat_map(|(s, (own, other))| own.iter().zip(other).map(move |(own, other)| (s, own, other)));
+        for ((s, own, other), slope) in bands.zip(of_bands) {
+            let predicted = p.outputs[s][own.bins.clone()].iter().map(C64::norm_sqr).sum();
+            let [here, there] = [own, other].map(|band| band.weight / band.expected(predicted, p.added_share));
+            if there == 0.0 && here > 0.0 {
+                return None;
+            }
+            rows.push(if here == 0.0 { 0.0 } else { slope * here / there });
+        }
+        Some(rows)
+    }
+
     fn rows(&self, p: &Predicted) -> Vec<f64> {
         let n = p.outputs.len();
         let mut rows = Vec::with_capacity(2 * n * self.sigma.len() + self.bands.iter().map(Vec::len).sum::<usize>());
@@ -248,9 +291,8 @@ impl Record {
         for (s, bands) in self.bands.iter().enumerate() {
             for band in bands {
                 let power = |x: &[C64]| x[band.bins.clone()].iter().map(C64::norm_sqr).sum::<f64>();
-                let (recorded, predicted) =
-                    (power(&p.measured[s]), power(&p.outputs[s]) + band.noise + p.added_share * band.added);
-                let ln = 0.5 * (recorded.max(f64::MIN_POSITIVE) / predicted.max(f64::MIN_POSITIVE)).ln();
+                let expected = band.expected(power(&p.outputs[s]), p.added_share);
+                let ln = 0.5 * (power(&p.measured[s]).max(f64::MIN_POSITIVE) / expected).ln();
                 rows.push(band.weight * ln);
             }
         }
@@ -274,6 +316,36 @@ mod tests {
         let weights = Expected::of(&forward, Arc::new(prediction.clone())).weights(&forward);
         let (found_hz, width_hz) = line_hz(&forward, &weights.rows(&prediction)).unwrap();
         assert!((found_hz - 6.35).abs() < width_hz, "{found_hz} Hz, {width_hz} Hz wide");
+    }
+
+    #[test]
+    fn slopes_in_other_units_are_those_of_the_same_change() {
+        let straying = |f: f64| 0.95 - 0.04 * f;
+        let problem = problem(&Truth { coherence: straying, ..Truth::default() });
+        let replay = Uniform(&problem);
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let table = |ln: f64| toml::from_str(&format!("kind = 'layer_velocity'\nln_factor = {ln}"));
+        let at = |ln: f64| -> Prediction {
+            let mut prediction = forward.predict(&[table(ln).unwrap()]).unwrap();
+            prediction.iter_mut().for_each(|p| p.added_share = 0.3);
+            prediction
+        };
+        let [from, here, there] = [0.05, 0.0, 1e-4].map(at);
+        let other = Expected::of(&forward, Arc::new(from)).weights(&forward);
+        let own = Expected::of(&forward, Arc::new(here.clone()));
+        let scale = |c: &Vec<f64>| c.iter().map(|c| 0.9 * c).collect();
+        let spread = Spread { coherence: own.spread.coherence.iter().map(scale).collect(), level: 2.0, ..own.spread };
+        let own = Weights::new(&forward, &spread, &own.reference);
+        let change = |weights: &Weights| -> Rows {
+            let pairs = weights.rows(&there).into_iter().zip(weights.rows(&here));
+            pairs.map(|(a, b)| a.iter().zip(b).map(|(a, b)| (a - b) / 1e-4).collect()).collect()
+        };
+        let wanted = change(&own);
+        let found = own.converted(&change(&other), &other, &here).unwrap();
+        let size = |rows: &Rows| rows.iter().flatten().map(|r| r * r).sum::<f64>().sqrt();
+        let missed = found.iter().zip(&wanted).map(|(a, b)| a.iter().zip(b).map(|(a, b)| a - b).collect()).collect();
+        assert!(size(&missed) < 1e-3 * size(&wanted), "{} {}", size(&missed), size(&wanted));
+        assert!(size(&wanted) > 1.0);
     }
 
     #[test]

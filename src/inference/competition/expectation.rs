@@ -63,7 +63,8 @@ impl<'a> Competition<'a> {
         // What few elements leave wrong is taken out where it matters now.
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
         let reference = self.fitter.predict(&best.model, &best.x)?;
-        self.fitter = self.fitter.expecting(Expected { spread: found, reference });
+        let fitter = self.fitter.expecting(Expected { spread: found, reference });
+        let before = std::mem::replace(&mut self.fitter, fitter);
         let own = best.model.effects;
         let is_own = |fit: &Fit<'a>| fit.labels() == labels;
         let old = std::mem::take(&mut self.fits);
@@ -82,7 +83,7 @@ impl<'a> Competition<'a> {
             }
             let is_close = cost < lowest[usize::from(fit.model.is_named())] + FAR;
             if i == 0 || is_close || is_same_set(&fit.model.effects, &own) {
-                self.fits.push(self.fitter.fit(Start::weighed_anew(fit), Stop::CLOSE)?);
+                self.fits.push(self.fitter.fit(self.fitter.weighed_anew(fit, &before), Stop::CLOSE)?);
             }
         }
         // What was found beside other models may be found anew; what leads away from it does so by any weights.
