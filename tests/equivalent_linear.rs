@@ -2,7 +2,7 @@
 
 use flare_pipe::column::{Analysis, BaseMotion, Column, Features, Layer, Profile, Rayleigh, Vertical};
 use flare_pipe::dataset::sensor_histories;
-use flare_pipe::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Tuning, Wanted};
+use flare_pipe::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Nodes, Tuning, Wanted};
 use flare_pipe::motion::{self, Band, MotionSettings};
 use flare_pipe::numerics::grid::Grid;
 use flare_pipe::numerics::resample::resample_band_limited;
@@ -65,9 +65,9 @@ struct Case<'a> {
 fn transfer_miss(case: &Case<'_>, elements: usize) -> f64 {
     let column = EquivalentColumn::new(&case.profile, elements, &Curves::default()).unwrap();
     let column = if case.is_dispersive { column } else { column.without_dispersion() };
-    let grid = Grid::around(0.2, 10.0, column.grid_step_hz());
+    let nodes = Nodes::new(Grid::around(0.2, 10.0, column.grid_step_hz()));
     let march =
-        column.march(grid, &vec![1e-5; column.n_element()], Wanted::Motions { depths_m: &[0.0] }, &Tuning::default());
+        column.march(&nodes, &vec![1e-5; column.n_element()], Wanted::Motions { depths_m: &[0.0] }, &Tuning::default());
     let mut worst = 0.0f64;
     for f in [0.33, 0.5, 1.0, 2.02, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 9.9] {
         let mut ours = [C64::default()];
@@ -109,9 +109,9 @@ fn strains_are_those_of_the_marched_motion() {
         let rayleigh = Rayleigh { alpha_1_s, ..Rayleigh::default() };
         let profile = Profile { rayleigh, ..plain(vec![layer(10.0, 1900.0, 150.0)]) };
         let column = EquivalentColumn::new(&profile, 100, &Curves::default()).unwrap();
-        let grid = Grid::around(0.2, 10.0, column.grid_step_hz());
+        let nodes = Nodes::new(Grid::around(0.2, 10.0, column.grid_step_hz()));
         let depths: Vec<f64> = vec![5.0, 5.1];
-        let march = |wanted| column.march(grid, &vec![1e-5; column.n_element()], wanted, &Tuning::default());
+        let march = |wanted| column.march(&nodes, &vec![1e-5; column.n_element()], wanted, &Tuning::default());
         let (f, u) = (2.2, C64::new(0.01, 0.002));
         let mut motion = [C64::default(); 2];
         march(Wanted::Motions { depths_m: &depths }).response(f, &mut motion);

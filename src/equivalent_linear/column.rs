@@ -7,7 +7,7 @@ use super::surroundings::Surroundings;
 use crate::column::{Analysis, Column, Downgoing, Features, Profile, Slice, Structure};
 use crate::error::Result;
 use crate::soil::{Point, Rate, Relaxation, Softening};
-pub use march::{March, Wanted};
+pub use march::{March, Nodes, Wanted};
 use std::sync::Arc;
 
 /// Elements in the wave length of the highest frequency.

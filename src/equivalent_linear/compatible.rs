@@ -1,18 +1,22 @@
 //! Strains of an equivalent-linear column that its moduli and damping are those of.
 
-use super::column::{EquivalentColumn, Wanted};
+use super::column::{EquivalentColumn, Nodes, Wanted};
 use super::tuning::{Tuning, least};
-use crate::numerics::fixed_point::fixed_point;
+use crate::numerics::fixed_point::{Newton, fixed_point};
 use crate::numerics::grid::Grid;
 use realfft::num_complex::Complex;
 use std::f64::consts::{SQRT_2, TAU};
+use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
 /// Effective strain over the largest strain.
 const EFFECTIVE: f64 = 0.7;
 /// Most iterations, and the relative change of every strain at which they end.
-const ITERATIONS: (usize, f64) = (40, 1e-4);
+const ITERATIONS: usize = 40;
+const STILL: f64 = 1e-4;
+/// The same between columns beside one another: differences are taken of these.
+const STILL_BESIDE: f64 = 1e-6;
 /// Strain with which they start.
 const START_STRAIN: f64 = 1e-5;
 /// Least effective strain.
@@ -35,8 +39,41 @@ pub struct Base<'m> {
 #[derive(Debug, Clone)]
 pub struct Compatible {
     column: EquivalentColumn,
-    grid: Grid,
+    nodes: Arc<Nodes>,
     strain: Vec<f64>,
+    /// How strains of columns near by are to be corrected by what is left of ln F(γ) − ln γ.
+    newton: Option<Arc<Newton>>,
+}
+
+/// Effective strains of a column under one motion of its base.
+struct Effective<'b> {
+    base: &'b Base<'b>,
+    displacement: Vec<C64>,
+    /// Effective strain over the root of its power.
+    factor: f64,
+}
+
+impl<'b> Effective<'b> {
+    fn new(base: &'b Base<'b>) -> Self {
+        let motion = base.frequencies_hz.iter().zip(base.acceleration_m_s2);
+        let displacement = motion.map(|(f, a)| a / -(TAU * f).powi(2)).collect();
+        Self { base, displacement, factor: EFFECTIVE * base.peak_factor * SQRT_2 / base.samples as f64 }
+    }
+
+    /// ln F(γ) of ln γ.
+    fn of(&self, column: &EquivalentColumn, nodes: &Nodes, ln_strain: &[f64]) -> Vec<f64> {
+        let march = column.march(nodes, &exp(ln_strain), Wanted::Strains, &Tuning::default());
+        let norms = march.strain_norm(self.base.frequencies_hz, &self.displacement).into_iter();
+        norms.map(|norm| (self.factor * norm).max(LEAST_STRAIN).ln()).collect()
+    }
+}
+
+fn exp(ln: &[f64]) -> Vec<f64> {
+    ln.iter().map(|x| x.exp()).collect()
+}
+
+fn ln(x: &[f64]) -> Vec<f64> {
+    x.iter().map(|x| x.ln()).collect()
 }
 
 impl Compatible {
@@ -45,35 +82,38 @@ impl Compatible {
     /// Source: Idriss and Sun (1992), SHAKE91.
     pub fn new(column: EquivalentColumn, base: &Base<'_>) -> Self {
         let strain = vec![START_STRAIN; column.n_element()];
-        Self::from(column, base, strain)
+        Self::from(column, base, strain, None)
     }
 
     /// [`Compatible::new`] with the strains of a column `near` by to start from, if that has as many elements.
     pub fn beside(column: EquivalentColumn, base: &Base<'_>, near: &Self) -> Self {
         if near.strain.len() == column.n_element() {
-            Self::from(column, base, near.strain.clone())
+            Self::from(column, base, near.strain.clone(), Some(near))
         } else {
             Self::new(column, base)
         }
     }
 
-    fn from(column: EquivalentColumn, base: &Base<'_>, strain: Vec<f64>) -> Self {
-        let f = base.frequencies_hz;
-        let ends_hz = [f.first(), f.last()].map(|f| f.copied().unwrap_or(1.0));
+    fn from(column: EquivalentColumn, base: &Base<'_>, strain: Vec<f64>, near: Option<&Self>) -> Self {
+        let ends_hz = [base.frequencies_hz.first(), base.frequencies_hz.last()].map(|f| f.copied().unwrap_or(1.0));
         let grid = Grid::around(ends_hz[0], ends_hz[1], column.grid_step_hz());
-        let displacement: Vec<C64> =
-            f.iter().zip(base.acceleration_m_s2).map(|(f, a)| a / -(TAU * f).powi(2)).collect();
-        let to_effective = EFFECTIVE * base.peak_factor * SQRT_2 / base.samples as f64;
-        let exp = |ln: &[f64]| ln.iter().map(|x| x.exp()).collect::<Vec<f64>>();
-        let effective = |ln_strain: &[f64]| {
-            let march = column.march(grid, &exp(ln_strain), Wanted::Strains, &Tuning::default());
-            let norms = march.strain_norm(f, &displacement).into_iter();
-            norms.map(|norm| (to_effective * norm).max(LEAST_STRAIN).ln()).collect()
-        };
-        let (iterations, still) = ITERATIONS;
-        let start = strain.iter().map(|gamma| gamma.ln()).collect();
-        let strain = exp(&fixed_point(start, effective, iterations, still).0);
-        Self { column, grid, strain }
+        let known = near.map(|near| &near.nodes).filter(|nodes| nodes.grid == grid);
+        let nodes = known.map_or_else(|| Arc::new(Nodes::new(grid)), Arc::clone);
+        let newton = near.and_then(|near| near.newton.clone());
+        let effective = Effective::new(base);
+        let map = |ln_strain: &[f64]| effective.of(&column, &nodes, ln_strain);
+        let still = if newton.is_some() { STILL_BESIDE } else { STILL };
+        let strain = exp(&fixed_point(ln(&strain), map, newton.as_deref(), ITERATIONS, still).0);
+        Self { column, nodes, strain, newton }
+    }
+
+    /// The same, prepared for many columns beside it: a march for each element now, and fewer for each of these.
+    #[must_use]
+    pub fn prepared(self, base: &Base<'_>) -> Self {
+        let effective = Effective::new(base);
+        let newton = Newton::at(&ln(&self.strain), |ln_strain| effective.of(&self.column, &self.nodes, ln_strain));
+        let near = Self { newton: newton.map(Arc::new), ..self };
+        Self::beside(near.column.clone(), base, &near)
     }
 
     /// The same column and strains with a modulus that does not grow with frequency; see [`EquivalentColumn::without_dispersion`].
@@ -84,7 +124,7 @@ impl Compatible {
 
     /// Motions at `depths_m` under `base`, tuned, `[depth][bin]`, m/s².
     pub fn motions(&self, base: &Base<'_>, depths_m: &[f64], tuning: &Tuning) -> Vec<Vec<C64>> {
-        let march = self.column.march(self.grid, &self.strain, Wanted::Motions { depths_m }, tuning);
+        let march = self.column.march(&self.nodes, &self.strain, Wanted::Motions { depths_m }, tuning);
         let mut all = vec![Vec::with_capacity(base.frequencies_hz.len()); depths_m.len()];
         let mut at = vec![C64::default(); depths_m.len()];
         for (f, input) in base.frequencies_hz.iter().zip(base.acceleration_m_s2) {

@@ -7,7 +7,7 @@ mod curves;
 mod surroundings;
 mod tuning;
 
-pub use column::{EquivalentColumn, March, Wanted, element_count};
+pub use column::{EquivalentColumn, March, Nodes, Wanted, element_count};
 pub use compatible::{Base, Compatible};
 pub use curves::{Curve, Curves};
 pub use tuning::Tuning;

@@ -89,6 +89,14 @@ impl State {
         Ok(state)
     }
 
+    /// The same, prepared for many states beside it.
+    fn prepared(self, forward: &Forward<'_>) -> Self {
+        let bases = self.bases;
+        let all = self.columns.into_iter().zip(&bases).enumerate();
+        let columns = all.map(|(i, (column, base))| column.prepared(&forward.shaking(i, base))).collect();
+        Self { columns, bases, ..self }
+    }
+
     /// The same with moduli that do not grow with frequency.
     #[must_use]
     pub fn without_dispersion(self) -> Self {
@@ -120,9 +128,7 @@ impl<'f, 'a> Neighbourhood<'f, 'a> {
     /// When an effect or the column cannot be built or replayed.
     pub fn new(forward: &'f Forward<'a>, tables: &[Table]) -> Result<Self> {
         let replayed = forward.corrected(tables)?;
-        let rough = State::tuned(forward, tables, &replayed)?;
-        // As close to compatible strains as what starts from there will be.
-        let state = State::new(forward, tables, Some(&rough))?;
+        let state = State::tuned(forward, tables, &replayed)?.prepared(forward);
         let motions = state.motions(forward);
         Ok(Self { forward, state, replayed, motions })
     }

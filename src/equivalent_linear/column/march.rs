@@ -28,30 +28,30 @@ pub enum Wanted<'d> {
 }
 
 impl EquivalentColumn {
-    /// Marches the column on `grid` with effective strains `gamma`, one an element, its soil tuned.
-    pub fn march(&self, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
+    /// Marches the column at the nodes `at` with effective strains `gamma`, one an element, its soil tuned.
+    pub fn march(&self, at: &Nodes, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
         let column = self;
-        on_lanes!(Width::widest(), march(column: &EquivalentColumn, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March)
+        on_lanes!(Width::widest(), march(column: &EquivalentColumn, at: &Nodes, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March)
     }
 
     #[inline(always)]
-    fn marched(&self, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
+    fn marched(&self, at: &Nodes, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
+        let Nodes { grid, omega, springs } = at;
         let n = grid.count;
         let (depths_m, has_strains) = match wanted {
             Wanted::Motions { depths_m } => (depths_m, false),
             Wanted::Strains => (&[][..], true),
         };
-        let omega: Vec<f64> = (0..n).map(|k| TAU * grid.frequency(k)).collect();
         let is_compliant = self.mass.len() > self.elements.len();
         let is_damped = is_compliant || self.damping.iter().any(|c| *c > 0.0);
         let rows = self.rows(depths_m);
-        let springs = Springs::new(grid);
-        let mut stiffness = Stiffness { re: vec![0.0; n], im: vec![0.0; n] };
+        let [mut relaxed, mut stiffness] = [0; 2].map(|_| Stiffness { re: vec![1.0; n], im: vec![0.0; n] });
+        let mut latest = None;
         let mut homogeneous = Wave::new(n, [1.0, 0.0]);
         let mut particular = Wave::new(n, [0.0, 0.0]);
-        homogeneous.load(&self.structure, &omega);
+        homogeneous.load(&self.structure, omega);
         let mut march = March {
-            grid,
+            grid: *grid,
             is_damped,
             is_compliant,
             downgoing: self.downgoing.clone(),
@@ -80,24 +80,25 @@ impl EquivalentColumn {
             let (ratio, damping) = element.curve.at(*gamma);
             let (factor, added) = tuning.at(element.depth_m / self.depth_m);
             let (modulus, damping) = (element.shear_modulus_pa * ratio * factor, (damping + added).max(0.0));
-            match &element.relaxation {
-                Some(relaxation) => stiffness.relax(relaxation, &springs, self.is_dispersive),
-                None => stiffness.start(1.0),
+            // Elements of a layer share theirs.
+            if latest != Some(&element.relaxation) {
+                relaxed.relax(element.relaxation.as_ref(), springs, self.is_dispersive);
+                latest = Some(&element.relaxation);
             }
-            stiffness.scale(modulus, 2.0 * damping * modulus);
-            stiffness.add(element.container_pa, element.beta_s * element.shear_modulus_pa, &omega);
+            stiffness.scaled(&relaxed, [modulus, 2.0 * damping * modulus]);
+            stiffness.add(element.container_pa, element.beta_s * element.shear_modulus_pa, omega);
             let node = [self.mass[i], self.damping[i]];
-            homogeneous.step(&omega, node, 0.0, &stiffness, element.height_m);
+            homogeneous.step(omega, node, 0.0, &stiffness, element.height_m);
             if is_damped {
-                particular.step(&omega, node, 1.0, &stiffness, element.height_m);
+                particular.step(omega, node, 1.0, &stiffness, element.height_m);
             }
             if has_strains {
                 march.add_strains([&homogeneous, &particular]);
             }
         }
         if let (true, Some(mass), Some(damping)) = (is_compliant, self.mass.last(), self.damping.last()) {
-            homogeneous.pass_node(&omega, [*mass, *damping], 0.0);
-            particular.pass_node(&omega, [*mass, *damping], 1.0);
+            homogeneous.pass_node(omega, [*mass, *damping], 0.0);
+            particular.pass_node(omega, [*mass, *damping], 1.0);
             march.base = [homogeneous.traction(), particular.traction()];
             return march;
         }
@@ -124,8 +125,8 @@ impl EquivalentColumn {
 /// As wide as the compiler makes it: the same operations on every width.
 #[inline(always)]
 #[expect(clippy::extra_unused_type_parameters, reason = "it tells the registers that this is compiled for")]
-fn march<L: Lane>(column: &EquivalentColumn, grid: Grid, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
-    column.marched(grid, gamma, wanted, tuning)
+fn march<L: Lane>(column: &EquivalentColumn, at: &Nodes, gamma: &[f64], wanted: Wanted<'_>, tuning: &Tuning) -> March {
+    column.marched(at, gamma, wanted, tuning)
 }
 
 /// Root of Σ x w, at least nothing.
@@ -149,13 +150,22 @@ fn root_of_sum<L: Lane>(x: &[f64], weights: &[f64]) -> f64 {
     (sums.iter().sum::<f64>() + rest).max(0.0).sqrt()
 }
 
-/// The springs of every relaxation on a grid: real and imaginary parts, spring after spring.
-struct Springs([[Vec<f64>; 2]; N_BODY]);
+/// Frequencies at which columns are marched, and what all columns have in common there.
+#[derive(Debug)]
+pub struct Nodes {
+    /// The frequencies.
+    pub grid: Grid,
+    omega: Vec<f64>,
+    /// The springs of every relaxation: real and imaginary parts, spring after spring.
+    springs: [[Vec<f64>; 2]; N_BODY],
+}
 
-impl Springs {
-    fn new(grid: Grid) -> Self {
+impl Nodes {
+    /// At the nodes of `grid`.
+    pub fn new(grid: Grid) -> Self {
         let at: Vec<_> = (0..grid.count).map(|k| bodies(grid.frequency(k))).collect();
-        Self(std::array::from_fn(|j| [0, 1].map(|part| at.iter().map(|springs| springs[j][part]).collect())))
+        let springs = std::array::from_fn(|j| [0, 1].map(|part| at.iter().map(|springs| springs[j][part]).collect()));
+        Self { grid, omega: (0..grid.count).map(|k| TAU * grid.frequency(k)).collect(), springs }
     }
 }
 
@@ -166,18 +176,13 @@ struct Stiffness {
 }
 
 impl Stiffness {
-    /// A real constant.
+    /// K of a relaxation, 1 without; without dispersion over its real part.
     #[inline(always)]
-    fn start(&mut self, value: f64) {
-        self.re.fill(value);
+    fn relax(&mut self, relaxation: Option<&Relaxation>, springs: &[[Vec<f64>; 2]; N_BODY], is_dispersive: bool) {
+        self.re.fill(relaxation.map_or(1.0, |r| r.rest));
         self.im.fill(0.0);
-    }
-
-    /// K of a relaxation; without dispersion over its real part.
-    #[inline(always)]
-    fn relax(&mut self, relaxation: &Relaxation, springs: &Springs, is_dispersive: bool) {
-        self.start(relaxation.rest);
-        for (weight, [spring_re, spring_im]) in relaxation.weights.iter().zip(&springs.0) {
+        let Some(relaxation) = relaxation else { return };
+        for (weight, [spring_re, spring_im]) in relaxation.weights.iter().zip(springs) {
             let parts = self.re.iter_mut().zip(&mut self.im).zip(spring_re.iter().zip(spring_im));
             for ((re, im), (x, y)) in parts {
                 *re += weight * x;
@@ -191,11 +196,12 @@ impl Stiffness {
         }
     }
 
-    /// Times a complex constant.
+    /// `other` times a complex constant.
     #[inline(always)]
-    fn scale(&mut self, factor_re: f64, factor_im: f64) {
-        for (re, im) in self.re.iter_mut().zip(&mut self.im) {
-            (*re, *im) = (factor_re * *re - factor_im * *im, factor_re * *im + factor_im * *re);
+    fn scaled(&mut self, other: &Self, [factor_re, factor_im]: [f64; 2]) {
+        let parts = self.re.iter_mut().zip(&mut self.im).zip(other.re.iter().zip(&other.im));
+        for ((re, im), (x, y)) in parts {
+            (*re, *im) = (factor_re * x - factor_im * y, factor_re * y + factor_im * x);
         }
     }
 
