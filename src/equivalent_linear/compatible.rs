@@ -12,10 +12,11 @@ type C64 = Complex<f64>;
 
 /// Effective strain over the largest strain.
 const EFFECTIVE: f64 = 0.7;
-/// Most iterations, and the relative change of every strain at which they end.
+/// Most iterations.
 const ITERATIONS: usize = 40;
+/// Relative change of every strain at which they end.
 const STILL: f64 = 1e-4;
-/// The same between columns beside one another: differences are taken of these.
+/// The same beside a prepared column: differences are taken between these.
 const STILL_BESIDE: f64 = 1e-6;
 /// Strain with which they start.
 const START_STRAIN: f64 = 1e-5;

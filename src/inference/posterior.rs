@@ -129,7 +129,8 @@ impl<'a> Fitter<'a> {
         self.expected.get(channels(prediction)).map(|expected| &expected.spread)
     }
 
-    /// From the fit `found` that `other` weighed: with the same slopes, in units of its own; anew where these are not told.
+    /// From the fit `found` that `other` weighed: with the same slopes, in units of its own; anew where these are not told. Slopes of what
+    /// is not replayed are taken anew wherever a fit begins, so that all that count here change outputs alone.
     pub fn weighed_anew(&self, found: Fit<'a>, other: &Self) -> Start<'a> {
         let [own, other] = [self, other].map(|by| by.weights(&found.prediction));
         let converted = |slope: &Arc<Rows>| own.converted(slope, &other, &found.prediction).map(Arc::new);

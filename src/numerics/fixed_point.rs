@@ -6,8 +6,8 @@ use faer::{Mat, Side};
 
 /// Steps that are remembered.
 const MEMORY: usize = 4;
-/// Largest share of what the map changes that a step takes.
-const DAMPED: f64 = 0.5;
+/// Largest share of what the map changes that a step takes, without and with a derivative from near by.
+const LARGEST: [f64; 2] = [0.5, 1.0];
 /// Length of the differences by which a derivative is taken.
 const STEP: f64 = 1e-3;
 /// Share of the diagonal that keeps the least squares of steps in one direction solvable.
@@ -46,7 +46,7 @@ impl Newton {
 /// ```
 ///
 /// P = I and β = ½, or β = 1 with P of `newton`. A step that would make |f| larger is not taken: all before it and `newton` are forgotten
-/// and β is halved; each that is taken doubles it again.
+/// and β is halved; each that is taken doubles it again up to ½.
 ///
 /// Check:  `a_map_that_is_nearly_one_ends_in_few_steps`, `a_map_that_turns_back_ends`,
 /// `a_map_that_is_nowhere_on_the_way_is_turned_from`, `what_is_known_near_by_saves_steps_and_changes_nothing`.
@@ -64,7 +64,8 @@ pub fn fixed_point(
     let mut x = start;
     let mut steps: Vec<[Vec<f64>; 2]> = Vec::new();
     let mut newton = newton.filter(|newton| newton.0.nrows() == x.len());
-    let mut share = if newton.is_some() { 1.0 } else { DAMPED };
+    let largest = |newton: Option<&Newton>| LARGEST[usize::from(newton.is_some())];
+    let mut share = largest(newton);
     for _ in 0..most_steps {
         if is_still(&f) {
             break;
@@ -73,10 +74,11 @@ pub fn fixed_point(
         let found = residual(&there);
         if square(&found).total_cmp(&square(&f)).is_gt() && !is_still(&found) {
             steps.clear();
-            share = if newton.take().is_some() { DAMPED } else { 0.5 * share };
+            newton = None;
+            share *= 0.5;
             continue;
         }
-        share = if newton.is_some() { 1.0 } else { DAMPED.min(2.0 * share) };
+        share = largest(newton).min(2.0 * share);
         steps.push([minus(&there, &x), minus(&found, &f)]);
         if steps.len() > MEMORY.min(x.len()) {
             steps.remove(0);
