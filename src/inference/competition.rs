@@ -44,10 +44,9 @@ const FINALS: usize = 6;
 const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
 /// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
-/// ln of the odds against the best within which models are fitted to all events, kept when what is expected of residuals has changed, and
-/// looked around for candidates where a posterior has several modes.
+/// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
 const FAR: f64 = 30.0;
-/// The same within which candidates are looked for around a model where it has one, and models fitted to the end: odds of 20 to 1.
+/// The same within which candidates are looked for around a model, and models fitted to the end: odds of 20 to 1.
 ///
 /// Source: Madigan and Raftery (1994), doi 10.1080/01621459.1994.10476894, Occam's window.
 const WINDOW: f64 = 3.0;
@@ -200,8 +199,7 @@ impl<'a> Competition<'a> {
         let effects = &leading.model.effects;
         let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();
         let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
-        // Where there may be other modes, odds are known no better than these.
-        let least = self.log_posterior(leading) - if self.has_modes() { FAR } else { WINDOW };
+        let least = self.log_posterior(leading) - WINDOW;
         let is_close =
             |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && self.log_posterior(fit) > least;
         let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).filter(|fit| !self.is_idle(fit)).collect();
