@@ -61,6 +61,7 @@ pub struct Fitter<'a> {
 }
 
 /// Where a fit starts.
+#[derive(Clone)]
 pub struct Start<'a> {
     /// The model.
     pub model: Model<'a>,
@@ -83,6 +84,11 @@ impl<'a> Start<'a> {
     /// The same with `slopes` carried from `found`.
     pub fn carrying(self, slopes: impl IntoIterator<Item = Option<Arc<Rows>>>, found: &Fit<'_>) -> Self {
         Self { slopes: slopes.into_iter().collect(), was_replayed: found.was_replayed, ..self }
+    }
+
+    /// From where the fit `found` to something else ended.
+    pub fn beside(found: &Fit<'a>) -> Self {
+        Self::at(found.model.clone(), found.x.clone())
     }
 
     /// From the fit `found`, with its slopes.

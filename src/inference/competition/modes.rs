@@ -47,7 +47,7 @@ impl<'a> Competition<'a> {
         let fitted = |i: usize| ground.fitted_from(starts[i].clone());
         let mut found: Vec<Fit<'a>> = on_threads(starts.len(), fitted).into_iter().flatten().collect();
         self.best_first(&mut found);
-        let mut found = Self::replayed(&by, &found.iter().take(REPLAYED).collect::<Vec<_>>());
+        let mut found = Self::replayed(&by, &found.iter().take(REPLAYED).map(Start::beside).collect::<Vec<_>>());
         self.best_first(&mut found);
         let least = self.log_posterior(&own) - FAR;
         found.retain(|fit| self.log_posterior(fit) > least);

@@ -30,6 +30,14 @@ impl<'a> Competition<'a> {
         Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
     }
 
+    /// The same effect at the places before and after that of `own`: how well one of them does in its stead is told by replays, whatever
+    /// the equivalent-linear column makes of it.
+    fn next_to<'i>(&'i self, own: &'i Instance) -> impl Iterator<Item = &'i Instance> {
+        let alike = || self.instances.iter().filter(|i| i.is_alike(own));
+        let at = alike().position(|i| i.is_one(own));
+        alike().enumerate().filter(move |(i, _)| at.is_some_and(|at| at.abs_diff(*i) == 1)).map(|(_, next)| next)
+    }
+
     /// First fits of what could be taken for each of the effects of `base`, in its place.
     fn rivals(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
         let of = |index: usize| -> Vec<Fit<'a>> {
@@ -56,7 +64,13 @@ impl<'a> Competition<'a> {
                     best.push(fit);
                 }
             }
-            Self::replayed(by, &best)
+            let mut starts: Vec<Start<'a>> = best.into_iter().map(Start::beside).collect();
+            let is_new =
+                |next: &Start<'a>| !starts.iter().any(|known| is_same_set(&known.model.effects, &next.model.effects));
+            let next: Vec<Start<'a>> =
+                self.next_to(own).filter(is_meant).map(|i| exchanged(base, index, i)).filter(is_new).collect();
+            starts.extend(next);
+            Self::replayed(by, &starts)
         };
         (0..base.model.effects.len()).flat_map(of).collect()
     }
@@ -70,8 +84,62 @@ fn without<'a>(base: &Fit<'a>, index: usize) -> (Model<'a>, Vec<f64>) {
     (model, x)
 }
 
+/// Where `base` is, `other` in the place of its effect `index` and as strong.
+fn exchanged<'a>(base: &Fit<'a>, index: usize, other: &Instance) -> Start<'a> {
+    let (mut model, mut x) = without(base, index);
+    x.extend(&base.x[base.model.coordinates_of(index)]);
+    model.effects.push(other.clone());
+    x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
+    Start::at(model, x)
+}
+
 /// Whether `other` could be taken for `own`: the catalogue of either knows them to be confused, or it is another place of the same.
 fn is_rival(own: &Instance, other: &Instance) -> bool {
     let has = |one: &Instance, kind| effects::find(one.kind).is_ok_and(|e| e.catalogue.confused_with.contains(&kind));
     own.kind == other.kind || has(own, other.kind) || has(other, own.kind)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::few::{self, Few};
+    use super::super::super::forward::Forward;
+    use super::super::super::made_up::{Nonlinear, Truth, problem};
+    use super::super::super::parameters::Declared;
+    use super::super::super::posterior::Stop;
+    use super::super::super::weights::Expected;
+    use super::*;
+    use crate::diagnosis::DiagnoseSettings;
+    use std::sync::Arc;
+
+    #[test]
+    fn a_place_next_to_that_of_an_effect_is_always_a_rival() {
+        let problem = problem(&Truth { events: 3, ..Truth::default() });
+        let replay = Nonlinear(&problem);
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let declared = Declared::new(&problem).unwrap();
+        forward.anchor(&[]).unwrap();
+        let prediction = Arc::new(forward.predict(&[]).unwrap());
+        let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
+        let none = Model { declared: &declared, effects: Vec::new() };
+        let fit = fitter.fit(Start::at(none, vec![0.0; declared.len()]), Stop::WHERE_IT_IS).unwrap();
+        let in_few = forward.in_groups(&few::groups(&forward));
+        let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
+        let competition = Competition::new(fitter, fit, few, 4);
+        let depth_m = |i: &Instance| i.target["depth_m"].as_float().unwrap();
+        let slips: Vec<Instance> =
+            competition.instances.iter().filter(|i| i.kind == "interface_slip").cloned().collect();
+        assert!(slips.len() > 6 && slips.windows(2).all(|pair| depth_m(&pair[0]) < depth_m(&pair[1])));
+        let next = |own: &Instance| competition.next_to(own).cloned().collect::<Vec<_>>();
+        assert_eq!(next(&slips[0]), [slips[1].clone()]);
+        assert_eq!(next(&slips[3]), [slips[2].clone(), slips[4].clone()]);
+        // Nothing slips in records of what is declared: by the equivalent-linear column no place is worth a replay.
+        let by = competition.few.fitter(&competition.fitter);
+        let model = Model { declared: competition.few.declared, effects: vec![slips[3].clone()] };
+        let x = [vec![0.0; model.declared.len()], slips[3].start()].concat();
+        let base = by.fit(Start::at(model, x), Stop::WHERE_IT_IS).unwrap();
+        let rivals = competition.rivals(&by, &base);
+        for place in [&slips[2], &slips[4]] {
+            assert!(rivals.iter().any(|fit| fit.model.index_of(place).is_some()), "{}", depth_m(place));
+        }
+    }
 }

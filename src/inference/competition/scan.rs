@@ -29,7 +29,7 @@ impl<'a> Competition<'a> {
         let own: Vec<&Instance> = found.iter().filter_map(|fit| fit.model.effects.last()).collect();
         let best = distinct(own, |instance| vec![(*instance).clone()]);
         let is_alike = |fit: &&Fit<'a>| fit.model.effects.last().is_some_and(|e| best.iter().any(|b| b.is_alike(e)));
-        Self::replayed(by, &found.iter().filter(is_alike).collect::<Vec<_>>())
+        Self::replayed(by, &found.iter().filter(is_alike).map(Start::beside).collect::<Vec<_>>())
     }
 
     /// Fits of the most promising `candidates` to the equivalent-linear column, best first.
@@ -51,10 +51,10 @@ impl<'a> Competition<'a> {
         fits
     }
 
-    /// Fits to the column itself from where those of the equivalent-linear one ended.
-    pub(super) fn replayed(by: &Fitter<'a>, found: &[&Fit<'a>]) -> Vec<Fit<'a>> {
-        let fitted = |i: usize| by.fit(Start::at(found[i].model.clone(), found[i].x.clone()), FAR_HEAT).ok();
-        on_threads(found.len(), fitted).into_iter().flatten().collect()
+    /// First fits to the column itself, from where those to the equivalent-linear one ended.
+    pub(super) fn replayed(by: &Fitter<'a>, starts: &[Start<'a>]) -> Vec<Fit<'a>> {
+        let fitted = |i: usize| by.fit(starts[i].clone(), FAR_HEAT).ok();
+        on_threads(starts.len(), fitted).into_iter().flatten().collect()
     }
 }
 
