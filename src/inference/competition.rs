@@ -5,8 +5,8 @@
 //! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
 //! fitted with the column itself. Of each model that comes to lead, what could be taken for its effects is fitted in their place
 //! ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere ([`modes`]). The
-//! competition goes on around the best model, around it less each of its effects, and around what is nearly as probable, until that
-//! changes nothing.
+//! competition goes on around the best model, around it less each of its effects, around what is nearly as probable, and, where a response
+//! without a name does better than all of them, around whatever has no more effects, until that changes nothing.
 //! What the records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of
 //! the channels, and the models under it are compared by that.
 
@@ -193,15 +193,17 @@ impl<'a> Competition<'a> {
         if self.explore(labels, progress)? || self.challenge(labels, progress)? {
             return Ok(true);
         }
-        // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
-        // would explain.
         let leading = self.leading(labels);
         let effects = &leading.model.effects;
         let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();
         let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
         let least = self.log_posterior(leading) - WINDOW;
-        let is_close =
-            |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && self.log_posterior(fit) > least;
+        // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
+        // would explain. Where it does better than all of them, the right ones may be beside any that are no more than those that lead.
+        let is_open = self.best_of(|fit| fit.labels() == labels).is_some_and(|best| !best.model.is_named());
+        let is_near =
+            |fit: &Fit<'a>| self.log_posterior(fit) > least || (is_open && fit.model.effects.len() <= effects.len());
+        let is_close = |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && is_near(fit);
         let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).filter(|fit| !self.is_idle(fit)).collect();
         self.best_first(&mut close);
         // What is simpler first: it may do as well. Then the best, and what is less probable, which may lead elsewhere.
