@@ -200,9 +200,9 @@ impl<'a> Competition<'a> {
         let least = self.log_posterior(leading) - WINDOW;
         // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
         // would explain. Where it does better than all of them, the right ones may be beside any that are no more than those that lead.
-        let is_open = self.best_of(|fit| fit.labels() == labels).is_some_and(|best| !best.model.is_named());
+        let is_lacking = self.best_of(|fit| fit.labels() == labels).is_some_and(|best| !best.model.is_named());
         let is_near =
-            |fit: &Fit<'a>| self.log_posterior(fit) > least || (is_open && fit.model.effects.len() <= effects.len());
+            |fit: &Fit<'a>| self.log_posterior(fit) > least || (is_lacking && fit.model.effects.len() <= effects.len());
         let is_close = |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && is_near(fit);
         let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).filter(|fit| !self.is_idle(fit)).collect();
         self.best_first(&mut close);
