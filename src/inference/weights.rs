@@ -21,6 +21,8 @@ type C64 = Complex<f64>;
 const ALIKE_OCTAVES: f64 = 0.5;
 /// Places between which a line is compared with what is around it.
 const LINE_NEIGHBOURS: [usize; 2] = [3, 12];
+/// Lines that are looked at.
+const LINES: usize = 3;
 
 /// What is expected of records that sensors are taken to have made on the same channels, beside the prediction it was read off.
 #[derive(Clone)]
@@ -130,8 +132,9 @@ pub fn below(forward: &Forward<'_>, rows: &Rows, high_hz: f64) -> Rows {
     forward.records.iter().zip(rows).map(of).collect()
 }
 
-/// Where the power of `rows` stands out most over that at the frequencies around, and how far apart records tell frequencies, Hz.
-pub fn line_hz(forward: &Forward<'_>, rows: &Rows) -> Option<(f64, f64)> {
+/// The frequencies from `low_hz` to `high_hz` where the power of `rows` is most above that around, which is what a line there would explain,
+/// and how far apart records tell frequencies, all Hz.
+pub fn lines_hz(forward: &Forward<'_>, rows: &Rows, [low_hz, high_hz]: [f64; 2]) -> (Vec<f64>, f64) {
     let n_sensor = forward.problem.array.outputs.len();
     let places = Places::of(forward);
     let mut power = vec![0.0; places.count];
@@ -140,13 +143,21 @@ pub fn line_hz(forward: &Forward<'_>, rows: &Rows) -> Option<(f64, f64)> {
             power[places.at(*f)] += bin.iter().map(|r| r * r).sum::<f64>();
         }
     }
-    let around = |k: usize| {
+    let above = |k: usize| {
         let ends = k.saturating_sub(LINE_NEIGHBOURS[1])..(k + LINE_NEIGHBOURS[1] + 1).min(places.count);
         let others: Vec<f64> = ends.filter(|j| j.abs_diff(k) >= LINE_NEIGHBOURS[0]).map(|j| power[j]).collect();
-        if others.is_empty() { f64::INFINITY } else { median(&others).max(f64::MIN_POSITIVE) }
+        if others.is_empty() { 0.0 } else { power[k] - median(&others) }
     };
-    let best = (0..places.count).max_by(|a, b| (power[*a] / around(*a)).total_cmp(&(power[*b] / around(*b))))?;
-    Some((places.middle_hz(best), places.step_hz))
+    let is_within = |k: &usize| (low_hz..=high_hz).contains(&places.middle_hz(*k));
+    let mut all: Vec<(usize, f64)> = (0..places.count).filter(is_within).map(|k| (k, above(k))).collect();
+    all.sort_by(|a, b| b.1.total_cmp(&a.1));
+    let mut lines: Vec<usize> = Vec::new();
+    for (k, _) in all {
+        if lines.len() < LINES && lines.iter().all(|line| line.abs_diff(k) >= LINE_NEIGHBOURS[0]) {
+            lines.push(k);
+        }
+    }
+    (lines.into_iter().map(|k| places.middle_hz(k)).collect(), places.step_hz)
 }
 
 impl Weights {
@@ -314,8 +325,8 @@ mod tests {
         let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
         let prediction = forward.predict(&[]).unwrap();
         let weights = Expected::of(&forward, Arc::new(prediction.clone())).weights(&forward);
-        let (found_hz, width_hz) = line_hz(&forward, &weights.rows(&prediction)).unwrap();
-        assert!((found_hz - 6.35).abs() < width_hz, "{found_hz} Hz, {width_hz} Hz wide");
+        let (found_hz, width_hz) = lines_hz(&forward, &weights.rows(&prediction), [0.5, 20.0]);
+        assert!((found_hz[0] - 6.35).abs() < width_hz, "{found_hz:?} Hz, {width_hz} Hz wide");
     }
 
     #[test]

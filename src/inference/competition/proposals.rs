@@ -6,7 +6,7 @@ use crate::inference::algebra::{self, Quadratic};
 use crate::inference::equivalent::Neighbourhood;
 use crate::inference::parameters::prior_of;
 use crate::inference::posterior::{Fit, Fitter, Start, combined, dot, gradient, square};
-use crate::inference::weights::{Rows, line_hz};
+use crate::inference::weights::{Rows, lines_hz};
 use crate::metrics::median;
 use crate::numerics::threads::on_threads;
 use faer::Mat;
@@ -211,24 +211,23 @@ impl<'a> Competition<'a> {
         Some(found)
     }
 
-    /// `node` where the residuals of `base` stand out most, if it is a line: away from its frequency nothing tells of it.
-    fn at_line(by: &Fitter<'a>, base: &Fit<'a>, mut node: Node) -> Node {
+    /// `node` where it explains most of what stands out of the residuals of `base`, if it is a line: away from its frequency nothing tells of
+    /// it.
+    fn at_line(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Node {
         let Some(index) = node.instance.line() else { return node };
-        let Some((line_hz, width_hz)) = line_hz(by.forward, &base.rows) else { return node };
         let parameter = node.instance.free[index].parameter;
         let [low, high] = parameter.bounds();
-        let mut lowest = f64::INFINITY;
-        for step in -LINE_STEPS..=LINE_STEPS {
+        let (lines_hz, width_hz) = lines_hz(by.forward, &base.rows, [parameter.low, parameter.high]);
+        let at = |(line_hz, step): (&f64, i32)| {
             let mut there = node.clone();
             there.at[index] =
                 parameter.coordinate(line_hz + width_hz * f64::from(step) / f64::from(LINE_STEPS)).clamp(low, high);
             let predicted = by.predict_with(base, &there.instance, &there.at);
-            let cost = predicted.map_or(f64::INFINITY, |p| by.nll(&p));
-            if cost < lowest {
-                (lowest, node) = (cost, there);
-            }
-        }
-        node
+            (predicted.map_or(f64::INFINITY, |p| by.nll(&p)), there)
+        };
+        let all = lines_hz.iter().flat_map(|line_hz| (-LINE_STEPS..=LINE_STEPS).map(move |step| (line_hz, step)));
+        let best = all.map(at).min_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, there)| there);
+        best.unwrap_or(node)
     }
 
     /// `instance` starting at the delay along which the residuals of `base` lie most, if it has one: a fit only finds the nearest period.
