@@ -12,7 +12,7 @@ pub enum Verdict {
     None,
     /// Named effects explain what was there.
     Known,
-    /// Effects of several kinds explain it alike.
+    /// Something is there, besides named effects or alone, that effects of several kinds explain alike.
     Ambiguous,
     /// There is structure that no named effect explains.
     Unknown,
@@ -167,7 +167,7 @@ pub struct Diagnosis {
     pub verdict: Verdict,
     /// Effects that the records ask for, in the order they were found; empty without an alarm.
     pub effects: Vec<Found>,
-    /// Kinds that explain the records about as well as what was named, the named ones included.
+    /// Kinds of which one explains what is there besides the other named effects, where none of them is sure.
     pub ambiguity: Vec<String>,
     /// Recalibrated declared values as `[[effects]]`, without any new effect.
     pub nuisances: Vec<toml::Table>,

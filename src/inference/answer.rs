@@ -22,7 +22,7 @@ use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
 use declared::declared_values;
-use kinds::{Masses, besides, is_taken, known_kinds};
+use kinds::{Masses, alternatives, besides, has_all, is_taken, known_kinds};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest probability that nothing is missing beside which an effect is named.
@@ -94,31 +94,29 @@ impl<'a> Answer<'_, 'a> {
         // What may be there besides, and may not, is not claimed: the median probability model.
         let known = known_kinds(&mass);
         let sure = self.sure(&known).filter(|_| is_missing);
-        let mut answer = sure.unwrap_or(if is_missing { best } else { plain });
+        // Something besides is surely there, and no name for it is sure.
+        let is_more = is_missing && mass.get(&known).copied().unwrap_or(0.0) < NOTHING;
+        let named = sure.unwrap_or(plain);
+        let most = self.competition.best_of(|fit| has_all(&self.claimed_kinds(fit), &known)).unwrap_or(best);
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
         let unnamed = self.probabilities().filter(|(fit, _)| !fit.model.is_named()).map(|(_, p)| p).sum::<f64>();
         let is_unnamed = unnamed > 0.5;
+        let mut answer = if is_more { most } else { named };
         let mut rest = self.rest(answer, is_unnamed);
-        let verdict = match (sure, rest.verdict) {
-            (Some(_), _) => Verdict::Known,
-            // Where no name is sure and what is surely there has none, names compete for what is not theirs.
-            (None, RestVerdict::Unnamed) => Verdict::Unknown,
-            (None, _) if is_missing => Verdict::Ambiguous,
-            (None, _) => Verdict::None,
+        // Where what is surely there has no name, names compete for what is not theirs.
+        let is_ambiguous = is_more && rest.verdict != RestVerdict::Unnamed;
+        if is_more && !is_ambiguous {
+            answer = named;
+            rest = self.rest(answer, is_unnamed);
+        }
+        let verdict = match sure {
+            _ if is_ambiguous => Verdict::Ambiguous,
+            Some(_) => Verdict::Known,
+            None if is_more || rest.verdict == RestVerdict::Unnamed => Verdict::Unknown,
+            None => Verdict::None,
         };
-        if is_missing && verdict == Verdict::Unknown {
-            answer = plain;
-            rest = self.rest(plain, is_unnamed);
-        }
         let is_named = matches!(verdict, Verdict::Known | Verdict::Ambiguous);
-        let mut ambiguity: Vec<String> = Vec::new();
-        for (kinds, probability) in mass.iter().filter(|_| verdict == Verdict::Ambiguous) {
-            for kind in kinds.iter().filter(|_| *probability > NOTHING) {
-                if !ambiguity.iter().any(|known| known == kind) {
-                    ambiguity.push((*kind).to_string());
-                }
-            }
-        }
+        let ambiguity = if is_ambiguous { alternatives(&mass, &known) } else { Vec::new() };
         let open =
             (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
         let members = self.members(answer);

@@ -38,7 +38,10 @@ pub(super) fn section(content: &Content) -> Option<Section> {
 
 /// One sentence that says no more than is known.
 fn verdict(closing: &Closing) -> String {
-    let named: Vec<String> = closing.effects.iter().map(|e| at(&e.kind, &e.target)).collect();
+    let is_open = |e: &&NamedEffect| closing.ambiguity.iter().any(|(kind, _)| *kind == e.kind);
+    let (open, sure): (Vec<&NamedEffect>, Vec<&NamedEffect>) = closing.effects.iter().partition(is_open);
+    let [named, open, sure] = [closing.effects.iter().collect(), open, sure]
+        .map(|of: Vec<&NamedEffect>| of.into_iter().map(|e| at(&e.kind, &e.target)).collect::<Vec<_>>());
     let share =
         |share: Option<f64>| share.map_or(String::new(), |s| format!(" ({} % of it)", number::fixed(100.0 * s, 0)));
     match closing.verdict.as_str() {
@@ -49,9 +52,10 @@ fn verdict(closing: &Closing) -> String {
             share(closing.explained_share)
         ),
         "ambiguous" => format!(
-            "The declared model lacks something that {} explains{}, and other effects about as well: these records cannot \
+            "The declared model lacks {}something that {} explains{}, and other effects about as well: these records cannot \
              tell them apart.",
-            listed(&named),
+            if sure.is_empty() { String::new() } else { format!("{} and besides ", listed(&sure)) },
+            listed(&open),
             share(closing.explained_share)
         ),
         _ => format!(
@@ -238,19 +242,25 @@ mod tests {
 
     #[test]
     fn the_verdict_says_no_more_than_is_known() {
-        let effect = NamedEffect { kind: "sensor_gain".into(), target: "surface".into(), ..NamedEffect::default() };
+        let effect = |kind: &str| NamedEffect { kind: kind.into(), target: "surface".into(), ..NamedEffect::default() };
         let says = |verdict: &str, effects: &[NamedEffect], share| {
             super::verdict(&Closing {
                 verdict: verdict.into(),
                 effects: effects.to_vec(),
+                ambiguity: ["clock_offset", "sensor_depth"].map(|kind| (kind.into(), String::new())).to_vec(),
                 explained_share: share,
                 ..Closing::default()
             })
         };
-        let known = says("known", std::slice::from_ref(&effect), Some(0.934));
+        let [gain, clock] = ["sensor_gain", "clock_offset"].map(effect);
+        let known = says("known", std::slice::from_ref(&gain), Some(0.934));
         assert!(known.contains("lacks sensor gain (surface)") && known.contains("93 % of it"), "{known}");
         assert!(says("none", &[], None).contains("no further effect"));
-        assert!(says("ambiguous", &[effect], None).contains("cannot tell them apart"));
+        let ambiguous = says("ambiguous", std::slice::from_ref(&clock), None);
+        assert!(ambiguous.contains("lacks something that clock offset (surface) explains"), "{ambiguous}");
+        let besides = says("ambiguous", &[gain, clock], None);
+        assert!(besides.contains("lacks sensor gain (surface) and besides something that clock offset"), "{besides}");
+        assert!(besides.contains("cannot tell them apart"), "{besides}");
         let unknown = says("unknown", &[], Some(0.2));
         assert!(unknown.contains("no named effect") && unknown.contains("nothing was corrected"), "{unknown}");
     }

@@ -115,9 +115,9 @@ pub struct Tally {
     pub alarms: Share,
     /// Twins called unknown.
     pub unknown: Share,
-    /// Twins whose effects were all named and nothing else (ambiguous ones where the right kind is among those listed).
+    /// Twins whose effects were all named, surely or as one of several kinds, and nothing else surely.
     pub right: Share,
-    /// Twins called known with a name that does not hold.
+    /// Twins in whose answer a name that is said to be sure does not hold.
     pub wrong: Share,
     /// Twins whose first effect is the best model of one effect, whatever was announced.
     pub top_1: Share,
@@ -213,7 +213,10 @@ impl Outcome {
             Verdict::None => "none".into(),
             Verdict::Unknown => "unknown".into(),
             Verdict::Known => Self::kinds(&self.found).join(" + "),
-            Verdict::Ambiguous => format!("ambiguous: {}", self.ambiguity.join(" | ")),
+            Verdict::Ambiguous => {
+                let known = self.sure().map(|kind| format!("{kind} + ")).collect::<String>();
+                format!("ambiguous: {known}{}", self.ambiguity.join(" | "))
+            }
         }
     }
 
@@ -255,11 +258,17 @@ impl Outcome {
         matches!(self.verdict, Verdict::Known | Verdict::Ambiguous)
             && !held.is_empty()
             && held.iter().all(named)
-            && (self.verdict == Verdict::Ambiguous || !found.iter().any(|kind| self.is_false(kind)))
+            && !self.is_wrong()
     }
 
+    /// Kinds that were named and are not among those of which one may hold.
+    fn sure(&self) -> impl Iterator<Item = &str> {
+        Self::kinds(&self.found).into_iter().filter(|kind| !self.ambiguity.iter().any(|open| open == kind))
+    }
+
+    /// Whether a name that is said to be sure does not hold.
     fn is_wrong(&self) -> bool {
-        self.verdict == Verdict::Known && Self::kinds(&self.found).iter().any(|kind| self.is_false(kind))
+        self.sure().any(|kind| self.is_false(kind))
     }
 
     fn rank(&self) -> Option<usize> {

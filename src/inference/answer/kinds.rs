@@ -29,6 +29,23 @@ fn probability_of(mass: &Masses, kind: &str, n: usize) -> f64 {
     mass.iter().filter(|(set, _)| count(set) >= n).map(|(_, p)| p).sum()
 }
 
+/// Whether `kinds` hold all of `wanted`, each as often.
+pub(super) fn has_all(kinds: &[&'static str], wanted: &[&'static str]) -> bool {
+    let mut open = wanted.to_vec();
+    kinds.iter().for_each(|kind| _ = is_taken(&mut open, kind));
+    open.is_empty()
+}
+
+/// Kinds that may be what is there besides the `known` ones, where something is.
+pub(super) fn alternatives(mass: &Masses, known: &[&'static str]) -> Vec<String> {
+    let mut all = BTreeSet::new();
+    for (set, _) in mass.iter().filter(|(_, p)| **p > NOTHING) {
+        let mut own = known.to_vec();
+        all.extend(set.iter().filter(|kind| !is_taken(&mut own, kind)).map(ToString::to_string));
+    }
+    all.into_iter().collect()
+}
+
 /// Kinds that may be there besides the `known` ones, and may not, in a sentence.
 pub(super) fn besides(mass: &Masses, known: &[&'static str]) -> Option<String> {
     let open = |kind: &'static str| {
@@ -85,5 +102,7 @@ mod tests {
         assert_eq!(known_kinds(&mass(&[(&["a"], 0.04), (&["a", "a"], 0.96)])), ["a", "a"]);
         assert_eq!(known_kinds(&mass(&[(&["a", "a"], 0.5), (&["a", "b"], 0.5)])), ["a"]);
         assert!(known_kinds(&mass(&[(&["a"], 0.6), (&["b"], 0.4)])).is_empty());
+        assert_eq!(alternatives(&mass(&[(&["a", "b"], 0.5), (&["a", "c"], 0.47), (&["a"], 0.03)]), &["a"]), ["b", "c"]);
+        assert!(has_all(&["a", "b", "a"], &["a", "a"]) && !has_all(&["a", "b"], &["a", "a"]));
     }
 }
