@@ -1,8 +1,14 @@
 //! A made-up array for tests: a uniform elastic column that an analytic solution replays.
 
+use super::competition::Competition;
+use super::few::{self, Few};
+use super::forward::Forward;
+use super::parameters::{Declared, Model};
+use super::posterior::{Fit, Fitter, Start, Stop};
+use super::weights::Expected;
 use crate::column::{Analysis, BaseMotion, Column, Layer, Profile};
 use crate::dataset::all_sensor_histories;
-use crate::diagnosis::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
+use crate::diagnosis::{DiagnoseSettings, Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
 use crate::effects::{self, Array, Channels, Direction, Effect, Recording, Situation, Tolerances};
 use crate::error::Result;
 use crate::numerics::{random, spectrum};
@@ -10,6 +16,7 @@ use crate::records::Split;
 use rand_distr::{Distribution, StandardNormal};
 use realfft::num_complex::Complex;
 use std::f64::consts::TAU;
+use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -162,6 +169,40 @@ impl Replay for Nonlinear<'_> {
         let found = all_sensor_histories(&column, &bases, &self.0.array.depths_m);
         found.into_iter().map(|histories| Ok(Ok(histories?.split_off(1)))).collect()
     }
+}
+
+/// What fits the models of a competition, and the fit without effects that it begins with.
+pub type Beginning<'a> = (Fitter<'a>, Fit<'a>);
+
+/// The beginning in which nothing is recalibrated.
+pub fn as_declared<'a>(forward: &'a Forward<'a>, declared: &'a Declared) -> Beginning<'a> {
+    let none = Model { declared, effects: Vec::new() };
+    let x = vec![0.0; none.len()];
+    beginning_at(forward, none, x, Stop::WHERE_IT_IS)
+}
+
+/// The beginning with a fit from `x`, where what is expected of residuals is read off.
+pub fn beginning_at<'a>(forward: &'a Forward<'a>, model: Model<'a>, x: Vec<f64>, stop: Stop) -> Beginning<'a> {
+    forward.anchor(&[]).unwrap();
+    let prediction = Arc::new(forward.predict(&model.tables(&x)).unwrap());
+    let fitter = Fitter::new(forward, Expected::of(forward, prediction));
+    let fit = fitter.fit(Start::at(model, x), stop).unwrap();
+    (fitter, fit)
+}
+
+/// Checks a competition over the records of `problem`.
+pub fn in_competition(
+    problem: &Problem,
+    replay: &dyn Replay,
+    begin: impl for<'a> FnOnce(&'a Forward<'a>, &'a Declared) -> Beginning<'a>,
+    check: impl FnOnce(Competition<'_>),
+) {
+    let forward = Forward::new(problem, replay, &DiagnoseSettings::default()).unwrap();
+    let declared = Declared::new(problem).unwrap();
+    let (fitter, fit) = begin(&forward, &declared);
+    let in_few = forward.in_groups(&few::groups(&forward));
+    let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
+    check(Competition::new(fitter, fit, few, 4));
 }
 
 /// A standard normal number.

@@ -1,20 +1,14 @@
 //! The competition in an array that is linear, with normal noise and priors, where all that it is to say is known exactly.
 
 use super::super::algebra::{self, Quadratic};
-use super::super::few::{self, Few};
-use super::super::forward::Forward;
-use super::super::made_up::{Truth, Uniform, problem};
-use super::super::parameters::{Declared, Model};
-use super::super::posterior::{Fit, Fitter, Start, Stop};
-use super::super::weights::{Expected, Rows};
-use super::Competition;
+use super::super::made_up::{Truth, Uniform, as_declared, in_competition, problem};
+use super::super::posterior::Fit;
+use super::super::weights::Rows;
 use super::null::Null;
 use super::proposals::{Direction, Linear};
-use crate::diagnosis::DiagnoseSettings;
 use crate::numerics::random;
 use faer::Mat;
 use rand_distr::{Distribution, StandardNormal};
-use std::sync::Arc;
 
 /// Of so many residuals one is taken, with their weight: few enough for a dense covariance of all.
 const THINNED: usize = 24;
@@ -85,29 +79,21 @@ impl<'c, 'a> Array<'c, 'a> {
 
 fn in_array(check: impl Fn(&Array<'_, '_>)) {
     let problem = problem(&Truth { events: 2, ..Truth::default() });
-    let replay = Uniform(&problem);
-    let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
-    let declared = Declared::new(&problem).unwrap();
-    forward.anchor(&[]).unwrap();
-    let prediction = Arc::new(forward.predict(&[]).unwrap());
-    let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
-    let model = Model { declared: &declared, effects: Vec::new() };
-    let fit = fitter.fit(Start::at(model, vec![0.0; declared.len()]), Stop::WHERE_IT_IS).unwrap();
-    let in_few = forward.in_groups(&few::groups(&forward));
-    let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
-    let competition = Competition::new(fitter, fit.clone(), few, 4);
-    let directions = competition.directions(&competition.fitter, &fit);
-    let linear = Linear::new(&competition.fitter, &fit, &directions).unwrap();
-    let mut bounds = linear.density.bounds.clone();
-    // No draw comes to an end of what is declared: there densities are not normal.
-    bounds[..fit.x.len()].fill([f64::NEG_INFINITY, f64::INFINITY]);
-    check(&Array {
-        fit: &fit,
-        directions: &directions,
-        slopes: fit.slopes.iter().chain(directions.iter().map(|d| &d.change)).map(|rows| thinned(rows)).collect(),
-        deviations: linear.density.size.clone(),
-        bounds,
-        ln_prior: competition.ln_priors(&linear),
+    in_competition(&problem, &Uniform(&problem), as_declared, |competition| {
+        let fit = &competition.fits[0];
+        let directions = competition.directions(&competition.fitter, fit);
+        let linear = Linear::new(&competition.fitter, fit, &directions).unwrap();
+        let mut bounds = linear.density.bounds.clone();
+        // No draw comes to an end of what is declared: there densities are not normal.
+        bounds[..fit.x.len()].fill([f64::NEG_INFINITY, f64::INFINITY]);
+        check(&Array {
+            fit,
+            directions: &directions,
+            slopes: fit.slopes.iter().chain(directions.iter().map(|d| &d.change)).map(|rows| thinned(rows)).collect(),
+            deviations: linear.density.size.clone(),
+            bounds,
+            ln_prior: competition.ln_priors(&linear),
+        });
     });
 }
 

@@ -122,45 +122,40 @@ fn draws(model: &Model<'_>, x: &[f64]) -> Vec<Vec<f64>> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::few::{self, Few};
-    use super::super::super::forward::Forward;
-    use super::super::super::made_up::{Truth, Uniform, problem};
-    use super::super::super::parameters::Declared;
-    use super::super::super::weights::Expected;
+    use super::super::super::made_up::{Truth, Uniform, beginning_at, in_competition, problem};
     use super::*;
-    use crate::diagnosis::DiagnoseSettings;
-    use crate::inference::posterior::Fitter;
     use crate::progress::Quiet;
-    use std::sync::Arc;
 
     #[test]
     fn a_fit_that_ended_at_another_cycle_is_found_out() {
         let mut problem = problem(&Truth { soil: [270.0, 0.02], events: 3, ..Truth::default() });
         problem.tolerances.vs_ln = 0.3;
-        let replay = Uniform(&problem);
-        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
-        let declared = Declared::new(&problem).unwrap();
-        forward.anchor(&[]).unwrap();
-        let model = Model { declared: &declared, effects: Vec::new() };
-        let mut x = vec![0.0; model.len()];
-        x[0] = -2.0;
-        let there = Arc::new(forward.predict(&model.tables(&x)).unwrap());
-        let fitter = Fitter::new(&forward, Expected::of(&forward, there));
-        let stuck = fitter.fit(Start::at(model, x), Stop::CLOSE).unwrap();
         let velocity = |fit: &Fit<'_>| -> f64 {
             let tables = fit.model.tables(&fit.x);
             200.0 * tables.iter().filter_map(|t| t.get("ln_factor")?.as_float()).sum::<f64>().exp()
         };
-        assert!(velocity(&stuck) < 200.0, "{}", velocity(&stuck));
-        let in_few = forward.in_groups(&few::groups(&forward));
-        let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
-        let mut competition = Competition::new(fitter, stuck, few, 4);
-        let labels = competition.fits[0].labels().to_vec();
-        assert!(competition.explore(&labels, &Quiet).unwrap());
-        let found = velocity(&competition.fits[0]);
-        assert!((found / 270.0 - 1.0).abs() < 0.02, "{found}");
-        // Where it was is another mode of the same model; there it is not looked for again.
-        assert!(competition.modes.iter().any(|mode| velocity(mode) < 200.0));
-        assert!(!competition.explore(&labels, &Quiet).unwrap());
+        let check = |mut competition: Competition<'_>| {
+            let stuck = velocity(&competition.fits[0]);
+            assert!(stuck < 200.0, "{stuck}");
+            let labels = competition.fits[0].labels().to_vec();
+            assert!(competition.explore(&labels, &Quiet).unwrap());
+            let found = velocity(&competition.fits[0]);
+            assert!((found / 270.0 - 1.0).abs() < 0.02, "{found}");
+            // Where it was is another mode of the same model; there it is not looked for again.
+            assert!(competition.modes.iter().any(|mode| velocity(mode) < 200.0));
+            assert!(!competition.explore(&labels, &Quiet).unwrap());
+        };
+        let replay = Uniform(&problem);
+        in_competition(
+            &problem,
+            &replay,
+            |forward, declared| {
+                let model = Model { declared, effects: Vec::new() };
+                let mut x = vec![0.0; model.len()];
+                x[0] = -2.0;
+                beginning_at(forward, model, x, Stop::CLOSE)
+            },
+            check,
+        );
     }
 }

@@ -101,45 +101,30 @@ fn is_rival(own: &Instance, other: &Instance) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::few::{self, Few};
-    use super::super::super::forward::Forward;
-    use super::super::super::made_up::{Nonlinear, Truth, problem};
-    use super::super::super::parameters::Declared;
+    use super::super::super::made_up::{Nonlinear, Truth, as_declared, in_competition, problem};
     use super::super::super::posterior::Stop;
-    use super::super::super::weights::Expected;
     use super::*;
-    use crate::diagnosis::DiagnoseSettings;
-    use std::sync::Arc;
 
     #[test]
     fn a_place_next_to_that_of_an_effect_is_always_a_rival() {
         let problem = problem(&Truth { events: 3, ..Truth::default() });
-        let replay = Nonlinear(&problem);
-        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
-        let declared = Declared::new(&problem).unwrap();
-        forward.anchor(&[]).unwrap();
-        let prediction = Arc::new(forward.predict(&[]).unwrap());
-        let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
-        let none = Model { declared: &declared, effects: Vec::new() };
-        let fit = fitter.fit(Start::at(none, vec![0.0; declared.len()]), Stop::WHERE_IT_IS).unwrap();
-        let in_few = forward.in_groups(&few::groups(&forward));
-        let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
-        let competition = Competition::new(fitter, fit, few, 4);
-        let depth_m = |i: &Instance| i.target["depth_m"].as_float().unwrap();
-        let slips: Vec<Instance> =
-            competition.instances.iter().filter(|i| i.kind == "interface_slip").cloned().collect();
-        assert!(slips.len() > 6 && slips.windows(2).all(|pair| depth_m(&pair[0]) < depth_m(&pair[1])));
-        let next = |own: &Instance| competition.next_to(own).cloned().collect::<Vec<_>>();
-        assert_eq!(next(&slips[0]), [slips[1].clone()]);
-        assert_eq!(next(&slips[3]), [slips[2].clone(), slips[4].clone()]);
-        // Nothing slips in records of what is declared: by the equivalent-linear column no place is worth a replay.
-        let by = competition.few.fitter(&competition.fitter);
-        let model = Model { declared: competition.few.declared, effects: vec![slips[3].clone()] };
-        let x = [vec![0.0; model.declared.len()], slips[3].start()].concat();
-        let base = by.fit(Start::at(model, x), Stop::WHERE_IT_IS).unwrap();
-        let rivals = competition.rivals(&by, &base);
-        for place in [&slips[2], &slips[4]] {
-            assert!(rivals.iter().any(|fit| fit.model.index_of(place).is_some()), "{}", depth_m(place));
-        }
+        in_competition(&problem, &Nonlinear(&problem), as_declared, |competition| {
+            let depth_m = |i: &Instance| i.target["depth_m"].as_float().unwrap();
+            let slips: Vec<Instance> =
+                competition.instances.iter().filter(|i| i.kind == "interface_slip").cloned().collect();
+            assert!(slips.len() > 6 && slips.windows(2).all(|pair| depth_m(&pair[0]) < depth_m(&pair[1])));
+            let next = |own: &Instance| competition.next_to(own).cloned().collect::<Vec<_>>();
+            assert_eq!(next(&slips[0]), [slips[1].clone()]);
+            assert_eq!(next(&slips[3]), [slips[2].clone(), slips[4].clone()]);
+            // Nothing slips in records of what is declared: by the equivalent-linear column no place is worth a replay.
+            let by = competition.few.fitter(&competition.fitter);
+            let model = Model { declared: competition.few.declared, effects: vec![slips[3].clone()] };
+            let x = [vec![0.0; model.declared.len()], slips[3].start()].concat();
+            let base = by.fit(Start::at(model, x), Stop::WHERE_IT_IS).unwrap();
+            let rivals = competition.rivals(&by, &base);
+            for place in [&slips[2], &slips[4]] {
+                assert!(rivals.iter().any(|fit| fit.model.index_of(place).is_some()), "{}", depth_m(place));
+            }
+        });
     }
 }

@@ -102,13 +102,10 @@ impl<'a> Ground<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::super::few::{self, Few};
-    use super::super::super::forward::Forward;
-    use super::super::super::made_up::{Nonlinear, Truth, problem, sample};
-    use super::super::super::parameters::Declared;
+    use super::super::super::made_up::{Nonlinear, Truth, in_competition, problem, sample};
     use super::super::super::recalibration::recalibrated;
     use super::*;
-    use crate::diagnosis::{DiagnoseSettings, Replay};
+    use crate::diagnosis::Replay;
     use crate::numerics::random;
 
     #[test]
@@ -121,23 +118,28 @@ mod tests {
             event.outputs = motion.unwrap();
             event.outputs.iter_mut().flatten().for_each(|v| *v += 0.01 * sample(&mut stream));
         }
-        let replay = Nonlinear(&problem);
-        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
-        let declared = Declared::new(&problem).unwrap();
-        let (expected, (model, x)) = recalibrated(&forward, &declared, Vec::new()).unwrap();
-        let fitter = Fitter::new(&forward, expected);
-        let fit = fitter.fit(Start::at(model, x), Stop::CLOSE).unwrap();
-        assert!(fit.is_strained());
-        let in_few = forward.in_groups(&few::groups(&forward));
-        let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
-        let competition = Competition::new(fitter, fit, few, 4);
-        let by = competition.few.fitter(&competition.fitter);
-        let base = competition.few.of(&by, &competition.fits[0]).unwrap();
-        let found = competition.strong(&by, &base);
-        let best = found.iter().max_by(|a, b| competition.log_posterior(a).total_cmp(&competition.log_posterior(b)));
-        let table = best.unwrap().model.effect_table(&best.unwrap().x, 0);
-        assert_eq!(table["kind"].as_str(), Some("thin_seam"), "{table}");
-        assert!((table["depth_m"].as_float().unwrap() - 14.117647).abs() < 1e-3, "{table}");
-        assert!((table["ln_factor"].as_float().unwrap() + 0.8).abs() < 0.1, "{table}");
+        let check = |competition: Competition<'_>| {
+            assert!(competition.fits[0].is_strained());
+            let by = competition.few.fitter(&competition.fitter);
+            let base = competition.few.of(&by, &competition.fits[0]).unwrap();
+            let found = competition.strong(&by, &base);
+            let best =
+                found.iter().max_by(|a, b| competition.log_posterior(a).total_cmp(&competition.log_posterior(b)));
+            let table = best.unwrap().model.effect_table(&best.unwrap().x, 0);
+            assert_eq!(table["kind"].as_str(), Some("thin_seam"), "{table}");
+            assert!((table["depth_m"].as_float().unwrap() - 14.117647).abs() < 1e-3, "{table}");
+            assert!((table["ln_factor"].as_float().unwrap() + 0.8).abs() < 0.1, "{table}");
+        };
+        in_competition(
+            &problem,
+            &Nonlinear(&problem),
+            |forward, declared| {
+                let (expected, (model, x)) = recalibrated(forward, declared, Vec::new()).unwrap();
+                let fitter = Fitter::new(forward, expected);
+                let fit = fitter.fit(Start::at(model, x), Stop::CLOSE).unwrap();
+                (fitter, fit)
+            },
+            check,
+        );
     }
 }
