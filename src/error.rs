@@ -3,6 +3,7 @@
 //! Messages flow in lower case without a final period, put backticks round what the user typed, and name the offending
 //! value, its unit and the admissible range. Places are listed innermost first. Rendered once, in `main`.
 
+use serde::ser::{Serialize, SerializeStruct, Serializer};
 use std::fmt;
 
 /// Result with the program's [`Error`].
@@ -60,6 +61,29 @@ impl Error {
         self
     }
 
+    /// Nothing where there are no `errors`, that one where there is one, and otherwise all of them in one.
+    ///
+    /// # Errors
+    /// When there are some.
+    pub fn all(mut errors: Vec<Self>) -> Result<()> {
+        if errors.len() < 2 {
+            return errors.pop().map_or(Ok(()), Err);
+        }
+        let summary = format!("{} problems", errors.len());
+        let is_one = |a: &Self, b: &Self| a.rendered.is_none() && a.what == b.what && a.hint == b.hint;
+        let mut texts: Vec<String> = Vec::new();
+        for (i, error) in errors.iter().enumerate() {
+            if errors[..i].iter().any(|known| is_one(known, error)) {
+                continue;
+            }
+            let more = errors[i + 1..].iter().filter(|other| is_one(error, other)).count();
+            let places = if more > 0 { format!("\n\nand the same in {more} more") } else { String::new() };
+            texts.push(format!("{error}{places}"));
+        }
+        let all = Self::new(summary.clone()).rendered(format!("{}\n\n{summary}", texts.join("\n\nerror: ")));
+        Err(Self { is_usage: errors.iter().all(|e| e.is_usage), ..all })
+    }
+
     /// What is wrong, without place, cause and hint.
     pub fn what(&self) -> &str {
         &self.what
@@ -99,6 +123,22 @@ impl fmt::Display for Error {
 
 impl std::error::Error for Error {}
 
+/// `what`, places (innermost first), causes (outermost first), `hint`, exit status, and the text that people read.
+impl Serialize for Error {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let first = self.cause.as_deref().map(|c| c as &dyn std::error::Error);
+        let causes: Vec<String> = std::iter::successors(first, |e| e.source()).map(ToString::to_string).collect();
+        let mut fields = serializer.serialize_struct("Error", 6)?;
+        fields.serialize_field("what", &self.what)?;
+        fields.serialize_field("at", &self.at)?;
+        fields.serialize_field("causes", &causes)?;
+        fields.serialize_field("hint", &self.hint)?;
+        fields.serialize_field("exit_status", &self.exit_status())?;
+        fields.serialize_field("text", &self.to_string())?;
+        fields.end()
+    }
+}
+
 /// Turns a foreign error into ours with a sentence of context: `fs::read(p).context(|| format!("cannot read `{p}`"))`.
 pub trait Context<T> {
     /// Wraps the error with what was being attempted.
@@ -116,6 +156,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn all_problems_are_told_at_once() {
+        assert!(Error::all(Vec::new()).is_ok());
+        assert_eq!(Error::all(vec![Error::new("one")]).unwrap_err().to_string(), "one");
+        let alike = |place: &str| Error::new("no unit").at(place);
+        let three = Error::all(vec![alike("a"), Error::new("else"), alike("b")]).unwrap_err().to_string();
+        assert_eq!(three, "no unit\n  in a\n\nand the same in 1 more\n\nerror: else\n\n3 problems");
+        let two = Error::all(vec![Error::new("one").hint("do"), Error::new("two").usage()]).unwrap_err();
+        assert_eq!(two.to_string(), "one\n\nhint: do\n\nerror: two\n\n2 problems");
+        assert_eq!(two.exit_status(), 1);
+    }
+
+    #[test]
     fn renders_places_cause_and_hint_in_order() {
         let error = Error::new("`vs_m_s` must be in 50…5000 m/s, got -240")
             .at("layer 3 of `site.toml`")
@@ -127,6 +179,9 @@ mod tests {
             "`vs_m_s` must be in 50…5000 m/s, got -240\n  in layer 3 of `site.toml`\n  in stage `simulate`\n  because disk full\n\nhint: check the sign"
         );
         assert_eq!(error.exit_status(), 1);
+        let json = serde_json::to_value(&error).unwrap();
+        assert_eq!(json["at"], serde_json::json!(["layer 3 of `site.toml`", "stage `simulate`"]));
+        assert_eq!((&json["causes"][0], &json["exit_status"]), (&"disk full".into(), &1.into()));
         assert_eq!(Error::new("x").usage().exit_status(), 2);
     }
 }

@@ -35,7 +35,18 @@ impl<T: ?Sized> Named for Entry<T> {
 /// # Errors
 /// When a key is unknown, missing or of the wrong type.
 pub fn params<P: DeserializeOwned>(table: toml::Table) -> Result<P> {
-    P::deserialize(table).map_err(|e: toml::de::Error| Error::new(e.message().trim().to_string()).usage())
+    P::deserialize(table).map_err(|e: toml::de::Error| {
+        let message = e.message().trim();
+        // What was typed and what could have been stand between backticks.
+        let mut names = message.split('`').skip(1).step_by(2);
+        match (message.starts_with("unknown field"), names.next()) {
+            (true, Some(typed)) => {
+                Error::new(format!("unknown key `{typed}`")).hint(known(&names.collect::<Vec<_>>(), typed))
+            }
+            _ => Error::new(message.to_string()),
+        }
+        .usage()
+    })
 }
 
 /// Looks `name` up in `entries`.
