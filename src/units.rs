@@ -23,7 +23,29 @@ pub enum AccelerationUnit {
     MetrePerSecondSquared,
 }
 
+impl std::fmt::Display for AccelerationUnit {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
 impl AccelerationUnit {
+    const ALL: [Self; 3] = [Self::Gravity, Self::Gal, Self::MetrePerSecondSquared];
+
+    /// As typed in a manifest.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Gravity => "g",
+            Self::Gal => "gal",
+            Self::MetrePerSecondSquared => "m/s2",
+        }
+    }
+
+    /// The unit of this name, in any case.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|unit| unit.name().eq_ignore_ascii_case(name))
+    }
+
     /// How many m/s² one unit is.
     pub fn m_s2(self) -> f64 {
         match self {

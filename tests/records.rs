@@ -142,7 +142,7 @@ fn what_is_written_reads_back_the_same_in_every_unit() {
         assert!(text.starts_with("# synthetic\n# two\n# lines\ntime_s,DHB17,DHB11,\"FA1-5, top\"\n0,"), "{text}");
         assert!(text.contains("\n0.015,"));
         let mut wanted = settings(&["LSST07"], &["EW"]);
-        wanted.unit = unit;
+        wanted.unit = Some(unit);
         let names = vec!["DHB11".to_string(), "FA1-5, top".to_string()];
         let read = load(&wanted, dir.path(), "DHB17", &names).unwrap().records.remove(0).1;
         assert_eq!(read.dt_s, 0.005, "{name}");
@@ -297,7 +297,7 @@ fn the_raw_kiknet_event_is_read_and_agrees_with_its_stated_peaks() {
     wanted.options = toml::from_str("station = 'NIGH18'").unwrap();
     let refused = load(&wanted, &dir, "borehole", &outputs()).unwrap_err().to_string();
     assert!(refused.contains("records.unit = \"gal\""), "{refused}");
-    wanted.unit = AccelerationUnit::Gal;
+    wanted.unit = Some(AccelerationUnit::Gal);
     let read = load(&wanted, &dir, "borehole", &outputs()).unwrap();
     assert_eq!(read.records.len(), 3);
     let ns = &read.records[0].1;

@@ -13,7 +13,7 @@ pub(crate) mod spectra;
 pub use comparison::{Change, ErrorRow, Six, Summary, missing_predictions};
 pub use floor::noise_deviation_m_s2;
 pub use generic::{GenericCorrection, Pair, fit as fit_generic};
-pub use noise::{USUAL_SHARE, denoised, noise};
+pub use noise::{USUAL_SHARE, denoised, noise, signal_band_hz};
 pub use outcome::{Candidate, DeclaredValue, Diagnosis, Estimate, Found, Rest, RestVerdict, Verdict};
 pub use problem::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
 pub use settings::DiagnoseSettings;

@@ -3,7 +3,7 @@
 use super::problem::{NoiseSource, NoiseSpectrum};
 use crate::metrics::{median, rms};
 use crate::numerics::filter;
-use crate::records::{DeclaredNoise, Record};
+use crate::records::{DeclaredNoise, Record, Sensor};
 use realfft::RealFftPlanner;
 use std::f64::consts::PI;
 
@@ -17,6 +17,8 @@ const GROWTH: f64 = 2.5;
 const QUIET_SHARE: f64 = 0.02;
 /// Segments of the averaged spectrum, s.
 const SEGMENT_S: f64 = 2.56;
+/// Amplitude over that of noise from which a frequency counts as signal, as is usual in the processing of accelerograms.
+const SIGNAL: f64 = 3.0;
 /// Noise where nothing tells it, as a share of the RMS of a record.
 pub const USUAL_SHARE: f64 = 0.01;
 
@@ -46,6 +48,23 @@ pub fn noise(record: &Record, declared: Option<DeclaredNoise>) -> Vec<NoiseSpect
         }
     };
     record.sensors().map(|s| of(&s.acceleration_m_s2)).collect()
+}
+
+/// Frequencies between which the motion of each sensor of `record` is three times its noise, Hz; `None` where it nowhere is, or where
+/// nothing tells the noise.
+pub fn signal_band_hz(record: &Record, declared: Option<DeclaredNoise>) -> Vec<Option<[f64; 2]>> {
+    let of = |(sensor, noise): (&Sensor, NoiseSpectrum)| {
+        let power = averaged(&sensor.acceleration_m_s2, record.dt_s);
+        let at = |k: usize| k as f64 * power.step_hz;
+        let ratio = |k: usize| power.power[k] / noise.at(at(k)).max(f64::MIN_POSITIVE);
+        let bins = 1..power.power.len();
+        let highest = bins.clone().max_by(|a, b| ratio(*a).total_cmp(&ratio(*b)))?;
+        let is_signal = |k: &usize| ratio(*k) >= SIGNAL * SIGNAL;
+        let low = (1..=highest).rev().take_while(is_signal).last()?;
+        let high = (highest..bins.end).take_while(is_signal).last()?;
+        (noise.source != NoiseSource::Usual).then(|| [at(low), at(high)])
+    };
+    record.sensors().zip(noise(record, declared)).map(of).collect()
 }
 
 /// Samples before the first block in which a sensor's motion grows; `None` where they are too few.
@@ -147,6 +166,23 @@ mod tests {
             acceleration_m_s2: noise[s].iter().enumerate().map(|(i, v)| v + motion(i, 1.0 + s as f64)).collect(),
         };
         Record { event: "E".into(), component: "EW".into(), dt_s: DT_S, input: sensor(0), outputs: vec![sensor(1)] }
+    }
+
+    #[test]
+    fn the_band_of_a_record_is_where_it_stands_out_of_its_noise() {
+        // Shaking from 1 to 8 Hz after 20 s, a hundred times the noise.
+        let band = |f: f64| if (1.0..=8.0).contains(&f) { 1.0 } else { 0.0 };
+        let shaking = filter::zero_phase(&white(8000, "shaking"), DT_S, band);
+        let noise = white(8000, "noise");
+        let sum = |k: usize| noise[k] * 0.01 + if k < 2000 { 0.0 } else { shaking[k] };
+        let sensor = |name: &str| Sensor { name: name.into(), acceleration_m_s2: (0..8000).map(sum).collect() };
+        let (event, component) = ("E".into(), "EW".into());
+        let record = Record { event, component, dt_s: DT_S, input: sensor("base"), outputs: vec![sensor("top")] };
+        for found in signal_band_hz(&record, None) {
+            let [low, high] = found.unwrap();
+            // Spectra are smoothed over a fifth of the frequency, and their bins are 0.39 Hz wide.
+            assert!((0.3..=1.2).contains(&low) && (7.5..=8.0 * 1.25 + 0.8).contains(&high), "{low} {high}");
+        }
     }
 
     #[test]

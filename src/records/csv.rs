@@ -1,6 +1,7 @@
 //! The CSV contract: `<dir>/<event>.<component>.csv`, header `time_s,<input sensor>,<sensor>,…`, uniform step.
 //!
-//! Columns are found by name, in any order; further columns are left alone; lines that start with `#` are comments.
+//! Columns are found by name, in any order; further columns are left alone; lines that start with `#` are comments. One of those above the
+//! header may say the unit: `# unit: gal`.
 
 use super::record::{Record, Sensor};
 use super::{Format, Request};
@@ -11,7 +12,7 @@ use crate::units::AccelerationUnit;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fs::File;
-use std::io::{BufReader, Read, Write};
+use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 
 pub(super) const ENTRY: Entry<dyn Format> = Entry {
@@ -33,11 +34,9 @@ impl Format for Csv {
 
     fn read(&self, request: &Request) -> Result<Record> {
         let path = path(request.dir, request.event, request.component);
-        let file = File::open(&path).context(|| format!("cannot read `{}`", path.display()))?;
         let mut names = vec![request.input];
         names.extend(request.outputs.iter().map(String::as_str));
-        let mut table = columns(BufReader::new(file), &names, request.unit.m_s2())
-            .map_err(|e| e.at(format!("`{}`", path.display())))?;
+        let mut table = read(&path, &names, request.unit)?;
         let mut sensors =
             names.iter().zip(table.channels.drain(..)).map(|(n, a)| Sensor { name: (*n).into(), acceleration_m_s2: a });
         let input = sensors.next().ok_or_else(|| Error::new("a record needs an input sensor"))?;
@@ -65,13 +64,76 @@ pub struct Table {
     pub channels: Vec<Vec<f64>>,
 }
 
+/// Reads the columns `names` of the contract CSV at `path`, values of the `unit` that is declared or that the file says, to m/s².
+///
+/// # Errors
+/// As [`columns`]; when neither says the unit, or the two differ.
+pub fn read(path: &Path, names: &[&str], unit: Option<AccelerationUnit>) -> Result<Table> {
+    let place = |e: Error| e.at(format!("`{}`", path.display()));
+    let open = || File::open(path).map(BufReader::new).context(|| format!("cannot read `{}`", path.display()));
+    let unit = match (unit, stated_unit(open()?).map_err(place)?) {
+        (Some(declared), Some(stated)) if declared != stated => {
+            let what = format!("the file says that it is in {stated}, but {declared} is declared");
+            return Err(place(
+                Error::new(what).hint("correct one of the two: `records.unit`, or the comment `# unit:`"),
+            ));
+        }
+        (declared, stated) => declared.or(stated),
+    };
+    let no_unit = || {
+        let hint = "set `records.unit` to `g`, `gal` or `m/s2`, or write `# unit: gal` above the header of the file";
+        place(Error::new("nothing says in what unit the accelerations are").hint(hint).usage())
+    };
+    columns(open()?, names, unit.ok_or_else(no_unit)?.m_s2()).map_err(place)
+}
+
+/// Names of the columns of the contract CSV at `path` beside the time.
+///
+/// # Errors
+/// When it cannot be read or has no column `time_s`.
+pub fn channel_names(path: &Path) -> Result<Vec<String>> {
+    let place = |e: Error| e.at(format!("`{}`", path.display())).usage();
+    let file = File::open(path).context(|| format!("cannot read `{}`", path.display()))?;
+    let mut reader = reader(file);
+    let header = reader.headers().map_err(unreadable).map_err(place)?;
+    let time = find_column(header, "time_s").map_err(place)?;
+    Ok(header.iter().enumerate().filter(|(i, _)| *i != time).map(|(_, name)| name.to_string()).collect())
+}
+
+/// The unit that the file at `path` says, if it does.
+///
+/// # Errors
+/// When it cannot be read, or the unit is not known.
+pub fn unit_in(path: &Path) -> Result<Option<AccelerationUnit>> {
+    let file = File::open(path).context(|| format!("cannot read `{}`", path.display()))?;
+    stated_unit(BufReader::new(file)).map_err(|e| e.at(format!("`{}`", path.display())).usage())
+}
+
+fn reader<R: Read>(source: R) -> ::csv::Reader<R> {
+    ::csv::ReaderBuilder::new().comment(Some(b'#')).trim(::csv::Trim::All).flexible(true).from_reader(source)
+}
+
+/// The unit that a comment above the header says.
+fn stated_unit(source: impl BufRead) -> Result<Option<AccelerationUnit>> {
+    // A byte order mark and text in another code are the business of who reads the columns.
+    let comments = source.split(b'\n').map_while(std::io::Result::ok).take_while(|line| line.starts_with(b"#"));
+    for line in comments {
+        let text = String::from_utf8_lossy(&line);
+        let Some(name) = text.trim_start_matches('#').trim().strip_prefix("unit:") else { continue };
+        let known = AccelerationUnit::named(name.trim());
+        let unknown =
+            || Error::new(format!("the unit `{}` is not known", name.trim())).hint("it must be `g`, `gal` or `m/s2`");
+        return known.ok_or_else(unknown).map(Some);
+    }
+    Ok(None)
+}
+
 /// Reads the columns `names` of a contract CSV, each value times `scale`.
 ///
 /// # Errors
 /// When a column is missing, a value is not a finite number, or the time does not rise in equal steps; the line is named.
 pub fn columns(source: impl Read, names: &[&str], scale: f64) -> Result<Table> {
-    let mut reader =
-        ::csv::ReaderBuilder::new().comment(Some(b'#')).trim(::csv::Trim::All).flexible(true).from_reader(source);
+    let mut reader = reader(source);
     let header = reader.headers().map_err(unreadable)?.clone();
     let time = find_column(&header, "time_s")?;
     let places = names.iter().map(|name| find_column(&header, name)).collect::<Result<Vec<_>>>()?;
@@ -140,6 +202,10 @@ fn find_column(header: &::csv::StringRecord, name: &str) -> Result<usize> {
         }
         (None, _) if header.iter().all(str::is_empty) => {
             Err(Error::new("the file is empty").hint("the first line is the header `time_s,<input sensor>,<sensor>,…`"))
+        }
+        (None, _) if header.len() == 1 && header.iter().any(|h| h.contains([';', '\t'])) => {
+            Err(Error::new("the columns are separated by semicolons or tabs, not by commas")
+                .hint("save the file with commas between columns and points in numbers"))
         }
         (None, _) => {
             let present: Vec<&str> = header.iter().collect();

@@ -10,7 +10,7 @@ use crate::registry::{Entry, params};
 use crate::units::AccelerationUnit;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Lines before the counts.
 const N_HEADER: usize = 17;
@@ -45,9 +45,9 @@ impl Format for Kiknet {
     }
 
     fn read(&self, request: &Request) -> Result<Record> {
-        if request.unit != AccelerationUnit::Gal {
+        if request.unit.is_some_and(|unit| unit != AccelerationUnit::Gal) {
             return Err(Error::new("raw KiK-net files hold gal, but the manifest declares another unit")
-                .hint("set `records.unit = \"gal\"`"));
+                .hint("set `records.unit = \"gal\"`, or leave it out"));
         }
         let [surface] = request.outputs else {
             return Err(Error::new(format!(
@@ -83,6 +83,17 @@ impl Format for Kiknet {
             outputs: vec![sensor(surface, above.acceleration_m_s2)],
         })
     }
+}
+
+/// Depth of the sensor in the borehole by the heights that two files of an event state, m; `path` is one of them.
+pub fn borehole_depth_m(path: &Path) -> Option<f64> {
+    let name = path.to_str()?.strip_suffix(['1', '2'])?;
+    let height_m = |place: u8| {
+        let bytes = std::fs::read(format!("{name}{place}")).ok()?;
+        let text = String::from_utf8_lossy(&bytes);
+        leading_number(text.lines().nth(8)?.strip_prefix("Station Height(m)")?.trim())
+    };
+    Some(height_m(2)? - height_m(1)?).filter(|depth| *depth > 0.0)
 }
 
 /// One parsed file.

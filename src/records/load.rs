@@ -5,6 +5,7 @@ use super::settings::{RecordSettings, Split};
 use super::{FORMATS, Format, Request};
 use crate::error::{Error, Result};
 use crate::registry;
+use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 
 /// A component that an event lacks.
@@ -34,11 +35,36 @@ impl Records {
     }
 }
 
-/// Reads every event and component of `settings` from `dir`; `input` and `outputs` are the sensor names of the manifest.
+/// One component of one event of a manifest, and what was found of it.
+#[derive(Debug)]
+pub struct Asked {
+    /// Event name.
+    pub event: String,
+    /// Component name.
+    pub component: String,
+    /// What the event is for.
+    pub split: Split,
+    /// What was found.
+    pub found: Found,
+}
+
+/// What was found of one component of one event.
+#[derive(Debug)]
+pub enum Found {
+    /// A sound record.
+    Record(Record),
+    /// This file is not there.
+    Missing(PathBuf),
+    /// What is there is no sound record.
+    Unsound(Error),
+}
+
+/// Reads every event and component of `settings` from `dir`, whatever is wrong with others; `input` and `outputs` are the sensor names of
+/// the manifest.
 ///
 /// # Errors
-/// When the folder or all components of an event are missing, or a file is not a sound record.
-pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[String]) -> Result<Records> {
+/// When the format or the folder is not there.
+pub fn survey(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[String]) -> Result<Vec<Asked>> {
     let name = if settings.format == "twin" { "csv" } else { &settings.format };
     let format = (registry::find("record format", FORMATS, name)?.build)(settings.options.clone())
         .map_err(|e| e.at("`records.options`"))?;
@@ -46,35 +72,55 @@ pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[Strin
         return Err(Error::new(format!("there is no folder `{}` with records", dir.display()))
             .hint("set `records.dir` in the manifest, or `--set records.dir=PATH`"));
     }
-    let mut read = Records { records: Vec::new(), missing: Vec::new() };
-    for (event, split) in settings.events() {
-        let before = read.records.len();
-        for component in &settings.components {
-            let request = Request { dir, event, component, unit: settings.unit, input, outputs };
-            match read_one(format.as_ref(), &request)? {
-                Ok(record) => read.records.push((split, record)),
-                Err(missing) => read.missing.push(missing),
-            }
-        }
-        if read.records.len() == before {
-            return Err(nothing_found(event, &read.missing, dir));
-        }
-    }
-    Ok(read)
+    let all: Vec<(&str, Split, &String)> = settings
+        .events()
+        .flat_map(|(event, split)| settings.components.iter().map(move |component| (event, split, component)))
+        .collect();
+    let read = |(event, split, component): &(&str, Split, &String)| {
+        let request = Request { dir, event, component, unit: settings.unit, input, outputs };
+        let found = read_one(format.as_ref(), &request);
+        Asked { event: (*event).into(), component: (*component).clone(), split: *split, found }
+    };
+    Ok(all.par_iter().map(read).collect())
 }
 
-fn read_one(format: &dyn Format, request: &Request) -> Result<std::result::Result<Record, Missing>> {
+/// All records of `settings` as [`survey`] finds them.
+///
+/// # Errors
+/// Everything that is wrong at once: the folder or all components of an event are missing, or files are no sound records.
+pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[String]) -> Result<Records> {
+    let mut read = Records { records: Vec::new(), missing: Vec::new() };
+    let mut wrong = Vec::new();
+    for Asked { event, component, split, found } in survey(settings, dir, input, outputs)? {
+        match found {
+            Found::Record(record) => read.records.push((split, record)),
+            Found::Missing(file) => read.missing.push(Missing { event, component, file }),
+            Found::Unsound(error) => wrong.push((event, error)),
+        }
+    }
+    for (event, _) in settings.events() {
+        let is_there = read.records.iter().any(|(_, r)| r.event == event) || wrong.iter().any(|(e, _)| e == event);
+        if !is_there {
+            wrong.push((event.into(), nothing_found(event, &read.missing, dir)));
+        }
+    }
+    Error::all(wrong.into_iter().map(|(_, error)| error).collect()).map(|()| read)
+}
+
+fn read_one(format: &dyn Format, request: &Request) -> Found {
     if let Some(file) = format.files(request).into_iter().find(|f| !f.exists()) {
-        let (event, component) = (request.event.to_string(), request.component.to_string());
-        return Ok(Err(Missing { event, component, file }));
+        return Found::Missing(file);
     }
     let place = || format!("event `{}`, component `{}`", request.event, request.component);
-    let record = format.read(request).map_err(|e| e.at(place()))?;
-    record.check_plausible().map_err(|error| match format.files(request).first() {
-        Some(file) => error.at(format!("`{}`", file.display())).at(place()),
-        None => error.at(place()),
-    })?;
-    Ok(Ok(record))
+    let implausible = |error: Error| match format.files(request).first() {
+        Some(file) => error.at(format!("`{}`", file.display())),
+        None => error,
+    };
+    let sound = |record: Record| record.check_plausible().map(|()| record).map_err(implausible);
+    match format.read(request).and_then(sound) {
+        Ok(record) => Found::Record(record),
+        Err(error) => Found::Unsound(error.at(place())),
+    }
 }
 
 fn nothing_found(event: &str, missing: &[Missing], dir: &Path) -> Error {

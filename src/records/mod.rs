@@ -7,11 +7,13 @@ pub mod kiknet;
 mod load;
 mod noise;
 mod record;
+mod remarks;
 mod settings;
 
-pub use load::{Missing, Records, load};
+pub use load::{Asked, Found, Missing, Records, load, survey};
 pub use noise::{Noise, add_noise};
 pub use record::{Record, Sensor};
+pub use remarks::remarks;
 pub use settings::{DeclaredNoise, RecordSettings, Split};
 
 use crate::error::Result;
@@ -31,8 +33,8 @@ pub struct Request<'a> {
     pub event: &'a str,
     /// Component name as typed in the manifest.
     pub component: &'a str,
-    /// Unit declared in the manifest.
-    pub unit: AccelerationUnit,
+    /// Unit declared in the manifest; none where the files say it.
+    pub unit: Option<AccelerationUnit>,
     /// Name of the input sensor.
     pub input: &'a str,
     /// Names of the output sensors, in the order wanted.

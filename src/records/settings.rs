@@ -13,9 +13,9 @@ pub struct RecordSettings {
     /// Folder of the files, relative to the manifest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dir: Option<String>,
-    /// Unit of the files: `g`, `gal` or `m/s2`.
-    #[serde(default = "default_unit")]
-    pub unit: AccelerationUnit,
+    /// Unit of the files: `g`, `gal` or `m/s2`; not needed where the files say it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<AccelerationUnit>,
     /// Truth file, relative to this manifest: what holds at the twin, or what to do to measured records.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub truth: Option<String>,
@@ -75,10 +75,6 @@ pub enum Split {
     Validation,
     /// Nothing is chosen by it.
     Test,
-}
-
-fn default_unit() -> AccelerationUnit {
-    AccelerationUnit::MetrePerSecondSquared
 }
 
 impl RecordSettings {

@@ -149,7 +149,7 @@ pub fn settings_without_test(task: &Task<'_>) -> Result<RecordSettings> {
 pub fn read(folder: &Path, settings: &RecordSettings, sensors: &SensorsSection) -> Result<records::Records> {
     let stored = RecordSettings {
         format: "csv".into(),
-        unit: AccelerationUnit::MetrePerSecondSquared,
+        unit: Some(AccelerationUnit::MetrePerSecondSquared),
         options: Table::new(),
         ..settings.clone()
     };
