@@ -171,17 +171,17 @@ impl Features {
             check("features.structure.damping_ratio".into(), self.structure.damping_ratio, "", 0.0, 1.0);
         }
         for (i, slip) in self.slips.iter().enumerate() {
-            check(format!("features.slips[{i}].depth_m"), slip.depth_m, " m", 0.0, depth_m);
-            check(format!("features.slips[{i}].tau_max_pa"), slip.tau_max_pa, " Pa", 1.0, 1e9);
+            check(format!("features.slips[{}].depth_m", i + 1), slip.depth_m, " m", 0.0, depth_m);
+            check(format!("features.slips[{}].tau_max_pa", i + 1), slip.tau_max_pa, " Pa", 1.0, 1e9);
         }
         check("features.container.mass_kg_m2".into(), self.container.mass_kg_m2, " kg/m²", 0.0, 1e6);
         check("features.container.stiffness_pa".into(), self.container.stiffness_pa, " Pa", 0.0, 1e9);
         for (i, zone) in self.softenings.iter().enumerate() {
-            check(format!("features.softenings[{i}].ru_at_reference"), zone.ru_at_reference, "", 0.0, 10.0);
-            check(format!("features.softenings[{i}].exponent"), zone.exponent, "", 0.5, 4.0);
+            check(format!("features.softenings[{}].ru_at_reference", i + 1), zone.ru_at_reference, "", 0.0, 10.0);
+            check(format!("features.softenings[{}].exponent", i + 1), zone.exponent, "", 0.5, 4.0);
         }
         for (i, zone) in self.rates.iter().enumerate() {
-            check(format!("features.rates[{i}].per_log_cycle"), zone.per_log_cycle, "", 0.0, 0.5);
+            check(format!("features.rates[{}].per_log_cycle", i + 1), zone.per_log_cycle, "", 0.0, 0.5);
         }
         problems
     }

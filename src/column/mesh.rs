@@ -155,7 +155,7 @@ fn cuts(profile: &Profile) -> Vec<Cut> {
     let mut cuts = Vec::with_capacity(profile.elements);
     let mut top_m = 0.0;
     let mut total_pa = profile.features.structure.mass_kg_m2 * G_M_S2; // total vertical stress at the element's top
-    for (i, (layer, count)) in profile.layers.iter().zip(elements_per_layer(profile)).enumerate() {
+    for (i, (layer, count)) in profile.layers.iter().zip(profile.elements_per_layer()).enumerate() {
         let height_m = layer.thickness_m / count as f64;
         let mass = layer.density_kg_m3 * height_m;
         for _ in 0..count {
@@ -206,23 +206,25 @@ fn place(layer: usize) -> String {
     format!("layer {} from the surface", layer + 1)
 }
 
-/// Elements by thickness times fineness, at least one a layer, largest remainders first; the sum is `profile.elements`.
-fn elements_per_layer(profile: &Profile) -> Vec<usize> {
-    let spare = (profile.elements - profile.layers.len()) as f64;
-    let wanted: Vec<f64> = profile.shares().iter().map(|s| (s * profile.elements as f64 - 1.0).max(0.0)).collect();
-    let scale = spare / wanted.iter().sum::<f64>().max(f64::MIN_POSITIVE);
-    let exact: Vec<f64> = wanted.iter().map(|w| w * scale).collect();
-    let mut counts: Vec<usize> = exact.iter().map(|x| 1 + (x + 1e-9).floor() as usize).collect();
-    let mut order: Vec<usize> = (0..counts.len()).collect();
-    order.sort_by(|a, b| {
-        let rest = |i: &usize| (exact[*i] + 1e-9).fract();
-        rest(b).total_cmp(&rest(a)).then(a.cmp(b))
-    });
-    let missing = profile.elements.saturating_sub(counts.iter().sum());
-    for i in order.iter().cycle().take(missing) {
-        counts[*i] += 1;
+impl Profile {
+    /// Elements by thickness times fineness, at least one a layer, largest remainders first; the sum is `elements`.
+    pub fn elements_per_layer(&self) -> Vec<usize> {
+        let spare = (self.elements - self.layers.len()) as f64;
+        let wanted: Vec<f64> = self.shares().iter().map(|s| (s * self.elements as f64 - 1.0).max(0.0)).collect();
+        let scale = spare / wanted.iter().sum::<f64>().max(f64::MIN_POSITIVE);
+        let exact: Vec<f64> = wanted.iter().map(|w| w * scale).collect();
+        let mut counts: Vec<usize> = exact.iter().map(|x| 1 + (x + 1e-9).floor() as usize).collect();
+        let mut order: Vec<usize> = (0..counts.len()).collect();
+        order.sort_by(|a, b| {
+            let rest = |i: &usize| (exact[*i] + 1e-9).fract();
+            rest(b).total_cmp(&rest(a)).then(a.cmp(b))
+        });
+        let missing = self.elements.saturating_sub(counts.iter().sum());
+        for i in order.iter().cycle().take(missing) {
+            counts[*i] += 1;
+        }
+        counts
     }
-    counts
 }
 
 #[cfg(test)]
@@ -238,10 +240,10 @@ mod tests {
         };
         let profile = |layers| Profile { elements: 52, ..Profile::plain(layers) };
         let whole = vec![layer(1.0, 2), layer(33.0, 26), layer(22.0, 4), layer(59.0, 20)];
-        assert_eq!(elements_per_layer(&profile(whole.clone())), [2, 26, 4, 20]);
+        assert_eq!(profile(whole.clone()).elements_per_layer(), [2, 26, 4, 20]);
         let mut cut = whole;
         cut[1].thickness_m = 12.3;
         cut.insert(1, Layer { thickness_m: 20.7, ..cut[1].clone() });
-        assert_eq!(elements_per_layer(&profile(cut)), [2, 16, 10, 4, 20]);
+        assert_eq!(profile(cut).elements_per_layer(), [2, 16, 10, 4, 20]);
     }
 }

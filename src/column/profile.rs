@@ -154,7 +154,7 @@ impl Profile {
             }
         };
         for (i, layer) in self.layers.iter().enumerate() {
-            let key = |name: &str| format!("layer[{i}].{name}");
+            let key = |name: &str| format!("layer[{}].{name}", i + 1);
             check(key("thickness_m"), layer.thickness_m, " m", 0.01, 2000.0);
             check(key("density_kg_m3"), layer.density_kg_m3, " kg/m³", 1050.0, 3500.0);
             check(key("vs_m_s"), layer.vs_m_s, " m/s", 20.0, 5000.0);

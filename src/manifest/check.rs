@@ -35,7 +35,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
     tolerances(site, problems);
     for (i, table) in site.effects.iter().enumerate() {
         if let Err(error) = effects::build(table) {
-            problems.push(from_error(format!("effects[{i}]"), &error));
+            problems.push(from_error(format!("effects[{}]", i + 1), &error));
         }
     }
     let components = site.records.as_ref().map(|r| r.components.clone()).unwrap_or_default();
@@ -101,7 +101,7 @@ fn laws(site: &Site, problems: &mut Vec<Problem>) {
     }
     let column = site.column();
     for (i, layer) in site.site.layer.iter().enumerate() {
-        let place = format!("site.layer[{i}]");
+        let place = format!("site.layer[{}]", i + 1);
         match site.law.get(&layer.law) {
             None => problems.push(
                 Problem::new(format!("{place}.law"), format!("there is no `[law.{}]`", layer.law))
@@ -129,14 +129,14 @@ fn sensors(site: &Site, problems: &mut Vec<Problem>) {
     for (i, sensor) in site.sensors.output.iter().enumerate() {
         if seen.insert(&sensor.name, i).is_some() {
             problems.push(Problem::new(
-                format!("sensors.output[{i}].name"),
+                format!("sensors.output[{}].name", i + 1),
                 format!("two sensors are named `{}`", sensor.name),
             ));
         }
         if !(0.0..site.site.depth_m).contains(&sensor.depth_m) {
             let what =
                 format!("`depth_m` must lie in 0…{} m, above the base, got {}", site.site.depth_m, sensor.depth_m);
-            problems.push(Problem::new(format!("sensors.output[{i}].depth_m"), what));
+            problems.push(Problem::new(format!("sensors.output[{}].depth_m", i + 1), what));
         }
     }
 }

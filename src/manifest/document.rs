@@ -9,7 +9,7 @@ use toml::de::{DeTable, DeValue};
 /// One thing wrong with a manifest.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Problem {
-    /// Dotted key with indices: `site.layer[3].vs_m_s`.
+    /// Dotted key with indices: `site.layer[3].vs_m_s`; the first is 1.
     pub key: String,
     /// What is wrong, with value, unit and admissible range.
     pub what: String,
@@ -118,7 +118,7 @@ impl Document {
 
 /// Sets one dotted `key=value` in `table`; the value is TOML where it parses as such, a string where it does not.
 ///
-/// Returns the key. `layer[2].vs_m_s`-style indices are understood.
+/// Returns the key. `layer[2].vs_m_s`-style indices are understood; the first is 1.
 ///
 /// # Errors
 /// When there is no `=` or the path runs through something that is no table.
@@ -136,7 +136,7 @@ pub fn apply_override(table: &mut toml::Table, assignment: &str) -> Result<Strin
     let mut steps = steps_of(key).into_iter().peekable();
     let wrong = || {
         Error::new(format!("`--set {key}`: no such place in the manifest"))
-            .hint("keys are dotted: `pretrain.latent`")
+            .hint("keys are dotted, and lists count from 1: `pretrain.latent`, `site.layer[1].vs_m_s`")
             .usage()
     };
     let mut place = match steps.next() {
@@ -158,7 +158,12 @@ pub fn apply_override(table: &mut toml::Table, assignment: &str) -> Result<Strin
                 t.entry(k).or_insert_with(|| toml::Value::Table(toml::Table::new()))
             }
             (Step::Index(i), toml::Value::Array(a)) => {
-                let slot = a.get_mut(i).ok_or_else(wrong)?;
+                let count = a.len();
+                let beyond = || {
+                    Error::new(format!("`--set {key}`: there are {count} of these, counted from 1, and no number {i}"))
+                        .usage()
+                };
+                let slot = i.checked_sub(1).and_then(|i| a.get_mut(i)).ok_or_else(beyond)?;
                 if last {
                     *slot = parsed;
                     return Ok(key.to_string());
@@ -201,7 +206,7 @@ fn locate(root: &DeTable<'_>, key: &str) -> Option<Range<usize>> {
                 (if is_container { name.span() } else { name.span().start..value.span().end }, value)
             }
             Step::Index(i) => {
-                let Some(value) = array.and_then(|a| a.get(i)) else { break };
+                let Some(value) = i.checked_sub(1).and_then(|i| array?.get(i)) else { break };
                 (value.span(), value)
             }
         };

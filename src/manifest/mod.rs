@@ -5,13 +5,18 @@
 
 mod check;
 mod document;
+mod draft;
 mod resolve;
 mod schema;
 mod sections;
+mod table;
 
 pub use document::{Document, Problem};
+pub use draft::{Draft, DraftRecords};
 pub use schema::schema;
 pub use sections::{ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, StudySection};
+
+pub use table::{LayerRow, layers as profile_table};
 
 use crate::error::{Context, Error, Result};
 use std::path::{Path, PathBuf};
@@ -47,7 +52,7 @@ impl Manifest {
             overridden.push(document::apply_override(&mut table, assignment)?);
         }
         let mut problems = schema::compare(&table);
-        let site = sections::build(&table, &mut problems);
+        let site = sections::build(&table, &mut problems).map(|site| site.completed(&table));
         if let Some(site) = &site {
             check::across(site, &mut problems);
         }

@@ -53,12 +53,16 @@ fn walk(root: &Json, schema: &Json, value: &toml::Value, key: String, problems: 
             .push(Problem::new(&key, format!("`{}` must be {article}, got {} `{value}`", last(&key), describe(value))));
         return;
     }
+    if let Some(what) = out_of_range(schema, value) {
+        problems.push(Problem::new(&key, format!("`{}` must be {what}, got {value}", last(&key))));
+        return;
+    }
     match value {
         toml::Value::Table(table) => walk_table(root, schema, table, &key, problems),
         toml::Value::Array(items) => {
             if let Some(item) = schema.get("items") {
                 for (i, v) in items.iter().enumerate() {
-                    walk(root, item, v, format!("{key}[{i}]"), problems);
+                    walk(root, item, v, format!("{key}[{}]", i + 1), problems);
                 }
             }
         }
@@ -95,6 +99,19 @@ fn walk_table(root: &Json, schema: &Json, table: &toml::Table, key: &str, proble
             problems.push(problem);
         }
     }
+}
+
+/// The range of `schema`, where `value` is a number beyond it.
+fn out_of_range(schema: &Json, value: &toml::Value) -> Option<String> {
+    let number = value.as_float().or_else(|| value.as_integer().map(|i| i as f64))?;
+    let [low, high] = ["minimum", "maximum"].map(|end| schema.get(end).and_then(Json::as_f64));
+    let is_within = low.is_none_or(|low| number >= low) && high.is_none_or(|high| number <= high);
+    let text = match (low, high) {
+        (Some(low), Some(high)) => format!("in {low}…{high}"),
+        (Some(low), None) => format!("at least {low}"),
+        (_, high) => format!("at most {}", high.unwrap_or(f64::INFINITY)),
+    };
+    (!is_within).then_some(text)
 }
 
 fn resolve<'a>(root: &'a Json, schema: &'a Json) -> &'a Json {

@@ -41,11 +41,13 @@ pub struct Site {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub records: Option<RecordSettings>,
     /// Synthetic base motions.
+    #[serde(default)]
     pub motions: MotionSettings,
     /// Time stepping of the column.
     #[serde(default)]
     pub analysis: Analysis,
     /// Stage 1: encoder, latent equations and decoder from the simulations.
+    #[serde(default)]
     pub pretrain: PretrainSettings,
     /// Stage 2: the sparse-sensor encoder.
     #[serde(default)]
@@ -91,6 +93,17 @@ pub struct ColumnSections {
 }
 
 impl Site {
+    /// The same site with what follows from other sections where `table`, which it was read from, does not say it.
+    #[must_use]
+    pub(super) fn completed(mut self, table: &toml::Table) -> Self {
+        self.motions = self.motions.completed();
+        let has_channels = table.get("pretrain").and_then(|t| t.get("channels")).is_some();
+        if !has_channels {
+            self.pretrain.channels = self.pretrain.channels.min(self.site.elements);
+        }
+        self
+    }
+
     /// The same site with the training sections as its recipe has them.
     #[must_use]
     pub fn with_recipe(mut self) -> Self {
@@ -221,7 +234,7 @@ pub fn build(table: &toml::Table, problems: &mut Vec<Problem>) -> Option<Site> {
             }
         };
     }
-    ranges::<MotionSettings>(table, "motions", problems, MotionSettings::problems);
+    ranges::<MotionSettings>(table, "motions", problems, |m| m.clone().completed().problems());
     ranges::<Analysis>(table, "analysis", problems, Analysis::problems);
     ranges::<PretrainSettings>(table, "pretrain", problems, PretrainSettings::problems);
     ranges::<DistillSettings>(table, "distill", problems, DistillSettings::problems);

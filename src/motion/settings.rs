@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// Suite of synthetic base motions (manifest section `[motions]`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields)]
+#[serde(deny_unknown_fields, default)]
 pub struct MotionSettings {
     /// Number of motions.
     pub count: usize,
@@ -15,26 +15,40 @@ pub struct MotionSettings {
     /// Duration of each motion, s.
     pub duration_s: f64,
     /// Time step, s.
-    #[serde(default = "default_step_s")]
     pub step_s: f64,
-    /// Bands of peak acceleration; their counts add up to `count`.
+    /// Bands of peak acceleration; their counts add up to `count`. Where there are none, three in five motions are of 0.005–0.02 g and the
+    /// others of 0.02–0.2 g.
     pub bands: Vec<Band>,
-    /// Cases to train on, such as `"1-80"`.
+    /// Cases to train on, such as `"1-80"`; the first four in five where there are neither these nor others.
     pub train: String,
-    /// Cases to validate on, such as `"81-100"`.
+    /// Cases to validate on, such as `"81-100"`; the others where there are neither.
     pub validation: String,
     /// Lower edge of the frequency content, Hz.
-    #[serde(default = "default_low_hz")]
     pub low_hz: f64,
     /// Upper edge of the frequency content, Hz.
-    #[serde(default = "default_high_hz")]
     pub high_hz: f64,
     /// Range of the dominant frequency, Hz, drawn log-uniformly for each motion.
-    #[serde(default = "default_dominant_hz")]
     pub dominant_hz: [f64; 2],
     /// Range of the strong-motion duration as a share of `duration_s`, drawn uniformly for each motion.
-    #[serde(default = "default_strong_share")]
     pub strong_share: [f64; 2],
+}
+
+impl Default for MotionSettings {
+    fn default() -> Self {
+        Self {
+            count: 100,
+            seed: 1,
+            duration_s: 30.0,
+            step_s: 0.005,
+            bands: Vec::new(),
+            train: String::new(),
+            validation: String::new(),
+            low_hz: 0.3,
+            high_hz: 9.0,
+            dominant_hz: [0.8, 6.0],
+            strong_share: [0.15, 0.55],
+        }
+    }
 }
 
 /// A band of peak ground acceleration, filled by stratified draws.
@@ -49,23 +63,25 @@ pub struct Band {
     pub max_pga_g: f64,
 }
 
-fn default_step_s() -> f64 {
-    0.005
-}
-fn default_low_hz() -> f64 {
-    0.3
-}
-fn default_high_hz() -> f64 {
-    9.0
-}
-fn default_dominant_hz() -> [f64; 2] {
-    [0.8, 6.0]
-}
-fn default_strong_share() -> [f64; 2] {
-    [0.15, 0.55]
-}
-
 impl MotionSettings {
+    /// The same with bands and split where none are given.
+    #[must_use]
+    pub fn completed(mut self) -> Self {
+        if self.bands.is_empty() && self.count > 0 {
+            let weak = (3 * self.count).div_ceil(5);
+            self.bands = vec![Band { count: weak, min_pga_g: 0.005, max_pga_g: 0.02 }];
+            if self.count > weak {
+                self.bands.push(Band { count: self.count - weak, min_pga_g: 0.02, max_pga_g: 0.2 });
+            }
+        }
+        if self.train.is_empty() && self.validation.is_empty() && self.count > 1 {
+            let first = (4 * self.count / 5).max(1);
+            self.train = format!("1-{first}");
+            self.validation = format!("{}-{}", first + 1, self.count);
+        }
+        self
+    }
+
     /// All that is wrong with the values: (dotted key, what is wrong).
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut found = Vec::new();
@@ -125,7 +141,7 @@ impl MotionSettings {
         for (i, band) in self.bands.iter().enumerate() {
             if !(band.min_pga_g > 0.0 && band.min_pga_g < band.max_pga_g && band.max_pga_g <= 5.0) {
                 say(
-                    &format!("bands.{i}"),
+                    &format!("bands[{}]", i + 1),
                     format!(
                         "a band must rise within 0…5 g, got `min_pga_g` {} and `max_pga_g` {}",
                         band.min_pga_g, band.max_pga_g
@@ -155,5 +171,21 @@ impl MotionSettings {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_said_of_a_suite_fits_its_count() {
+        for count in [2, 3, 20, 100, 101] {
+            let settings = MotionSettings { count, ..MotionSettings::default() }.completed();
+            assert_eq!(settings.problems(), [], "{count}");
+            assert_eq!(settings.clone().completed(), settings);
+        }
+        let own = MotionSettings { train: "1-3".into(), ..MotionSettings::default() }.completed();
+        assert!(own.train == "1-3" && own.validation.is_empty());
     }
 }
