@@ -1,65 +1,97 @@
 //! Removes what no site uses any more.
 
 use super::files::list;
+use super::lock::Lease;
 use super::site::Memory;
 use super::{Address, Lock, Store};
-use crate::error::{Context, Result};
+use crate::error::{Context, Error, Result};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::time::SystemTime;
 
-/// An entry that was, or would be, removed.
+/// An entry that nothing refers to.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Removed {
+pub struct Unused {
     /// Its address.
     pub entry: Address,
     /// What it takes on the disk, drafts and checkpoints included.
     pub bytes: u64,
+    /// How long ago it was written, s; none where the clock cannot tell.
+    pub age_s: Option<u64>,
+    #[serde(skip)]
+    paths: Vec<PathBuf>,
 }
 
-/// Removes, or with `is_dry_run` only lists, the entries of `<run-dir>/cache` that no site of `run_dir` used last, with items
-/// and checkpoints of killed work. What somebody is computing stays.
+/// Everything in `<run-dir>/cache` that no site of `run_dir` used last, that is no input of that and is not among `also`, with items and
+/// checkpoints of killed work. What somebody is computing is not listed.
 ///
 /// # Errors
-/// When the run directory cannot be read or written.
-pub fn gc(run_dir: &Path, is_dry_run: bool) -> Result<Vec<Removed>> {
+/// When the run directory, or what a site used last, cannot be read.
+pub fn unused(run_dir: &Path, also: &[Address]) -> Result<Vec<Unused>> {
     let store = Store::new(run_dir);
-    let kept = kept(run_dir, &store)?;
-    let mut removed = Vec::new();
+    let kept = kept(run_dir, &store, also)?;
+    let mut found = Vec::new();
     for (entry, paths) in store.inventory()? {
         let is_entry = |p: &Path| p == store.dir(&entry);
         let lock_path = store.lock_path(&entry);
-        let doomed: Vec<_> = paths.into_iter().filter(|p| !(is_entry(p) && kept.contains(&entry))).collect();
-        if doomed.is_empty() || Lock::holder(&lock_path).is_some() {
+        let paths: Vec<_> = paths.into_iter().filter(|p| !(is_entry(p) && kept.contains(&entry))).collect();
+        if paths.is_empty() || Lock::holder(&lock_path).is_some() {
             continue;
         }
-        removed.push(Removed { bytes: doomed.iter().map(|p| size(p)).sum(), entry });
-        if is_dry_run {
-            continue;
-        }
+        let written = paths.iter().filter_map(|p| fs::metadata(p).and_then(|m| m.modified()).ok()).max();
+        let age = written.and_then(|t| SystemTime::now().duration_since(t).ok());
+        let bytes = paths.iter().map(|p| size(p)).sum();
+        found.push(Unused { entry, bytes, age_s: age.map(|a| a.as_secs()), paths });
+    }
+    Ok(found)
+}
+
+/// Removes entries that [`unused`] listed.
+///
+/// # Errors
+/// When a run is at work, or something cannot be removed.
+pub fn remove(run_dir: &Path, entries: &[Unused]) -> Result<()> {
+    let store = Store::new(run_dir);
+    if entries.is_empty() {
+        return Ok(());
+    }
+    // What a run has begun with may be in no list yet.
+    let _lease = Lease::alone(&store.lease_path())?.ok_or_else(|| {
+        Error::new(format!("a run is at work in `{}`", run_dir.display())).hint("try again when it has ended")
+    })?;
+    for Unused { entry, paths, .. } in entries {
+        let lock_path = store.lock_path(entry);
         let Some(_lock) = Lock::try_acquire(&lock_path)? else { continue };
-        for path in doomed.iter().filter(|p| **p != lock_path) {
+        for path in paths.iter().filter(|p| **p != lock_path) {
             let result = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
             result.context(|| format!("cannot remove `{}`", path.display()))?;
         }
     }
-    Ok(removed)
+    Ok(())
 }
 
-/// Addresses that some site used last, with their items.
-fn kept(run_dir: &Path, store: &Store) -> Result<BTreeSet<Address>> {
-    let mut kept = BTreeSet::new();
+/// Addresses that some site used last and those in `also`, with their items and all that these were made from.
+fn kept(run_dir: &Path, store: &Store, also: &[Address]) -> Result<BTreeSet<Address>> {
+    let mut open: Vec<Address> = also.to_vec();
     let what = || format!("cannot read `{}`", run_dir.display());
-    if !run_dir.is_dir() {
-        return Ok(kept);
+    if run_dir.is_dir() {
+        for site in fs::read_dir(run_dir).context(what)? {
+            open.extend(Memory::strict(&site.context(what)?.path())?);
+        }
     }
-    for site in fs::read_dir(run_dir).context(what)? {
-        for address in Memory::load(&site.context(what)?.path()).all() {
-            if let Some(outputs) = store.outputs(&address) {
-                kept.extend(outputs.items.iter().filter_map(|item| Address::parse(&item.entry)));
-            }
-            kept.insert(address);
+    let all: Vec<Address> = store.inventory()?.into_iter().map(|(address, _)| address).collect();
+    let mut kept = BTreeSet::new();
+    while let Some(address) = open.pop() {
+        if !kept.insert(address.clone()) {
+            continue;
+        }
+        if let Some(outputs) = store.outputs(&address) {
+            open.extend(outputs.items.iter().filter_map(|item| Address::parse(&item.entry)));
+        }
+        if let Some(parts) = store.parts(&address) {
+            open.extend(all.iter().filter(|other| parts.inputs.values().any(|key| *key == other.key)).cloned());
         }
     }
     Ok(kept)

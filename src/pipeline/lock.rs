@@ -108,6 +108,45 @@ impl Drop for Lock {
     }
 }
 
+/// A share in a cache: many runs have one at a time, or one collection has all. The operating system takes it back from whoever dies.
+#[derive(Debug)]
+pub(super) struct Lease {
+    _file: File,
+}
+
+impl Lease {
+    /// A share for a run; waits for a collection to end.
+    ///
+    /// # Errors
+    /// When the file cannot be made or locks are not supported there.
+    pub fn shared(path: &Path) -> Result<Self> {
+        let file = Self::open(path)?;
+        file.lock_shared().context(|| format!("cannot lock `{}`", path.display()))?;
+        Ok(Self { _file: file })
+    }
+
+    /// All of it for a collection; `None` where a run is at work.
+    ///
+    /// # Errors
+    /// As [`Lease::shared`].
+    pub fn alone(path: &Path) -> Result<Option<Self>> {
+        let file = Self::open(path)?;
+        match file.try_lock() {
+            Ok(()) => Ok(Some(Self { _file: file })),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(e)) => Err(e).context(|| format!("cannot lock `{}`", path.display())),
+        }
+    }
+
+    fn open(path: &Path) -> Result<File> {
+        let what = || format!("cannot lock `{}`", path.display());
+        if let Some(folder) = path.parent() {
+            fs::create_dir_all(folder).context(what)?;
+        }
+        OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).context(what)
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -31,7 +31,7 @@ mod whole_runs;
 pub use change::Change;
 pub use decide::{Action, Decision, Options, Reason};
 pub use files::write_if_changed;
-pub use gc::{Removed, gc};
+pub use gc::{Unused, remove, unused};
 pub use graph::{Graph, Link, Node};
 pub use key::{Address, Key, OutsideFile, Parts, content_hash};
 pub use lock::{Lock, Owner};

@@ -1,6 +1,6 @@
 //! What a run tells of itself, to whoever listens: a terminal, a log, nobody.
 
-use super::Decision;
+use super::{Decision, Owner};
 use crate::error::Error;
 use crate::progress::{Progress, Quiet};
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -17,6 +17,15 @@ pub enum Event<'a> {
     Started {
         /// Its name.
         stage: &'a str,
+        /// Wall time of the output that this site used last.
+        last_s: Option<f64>,
+    },
+    /// A stage waits for another process that computes the same.
+    Waits {
+        /// Its name.
+        stage: &'a str,
+        /// That process, where it is known.
+        owner: Option<&'a Owner>,
     },
     /// `done` of `total` steps of `what` are done; `done` is 0 when they are announced.
     Progress {

@@ -3,6 +3,7 @@
 use super::decide::{Planner, Resolved};
 use super::executor::{Permits, guarded};
 use super::files::remove_dir;
+use super::lock::Lease;
 use super::reporter::StageProgress;
 use super::store::Published;
 use super::{Action, Decision, Event, Graph, Lock, Options, Reason, Reporter, Site, State, Task};
@@ -67,6 +68,7 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
         });
     }
     let n_open = progress.iter().filter(|p| **p == Stand::Open).count();
+    let _lease = (n_open > 0).then(|| Lease::shared(&planner.store.lease_path())).transpose()?;
     let crew = Crew {
         planner: &planner,
         reporter,
@@ -218,8 +220,7 @@ impl<'a> Crew<'a> {
         let stage = node.name.as_str();
         let is_forced = planner.is_forced(index);
         let _lock = Lock::acquire(&store.lock_path(&known.address), |owner| {
-            let whom = owner.map_or(String::new(), |o| format!(" by process {} on `{}`", o.pid, o.host));
-            self.reporter.event(&Event::Note { stage, text: &format!("waits: it is being computed{whom}") });
+            self.reporter.event(&Event::Waits { stage, owner: owner.as_ref() });
         })?;
         let state = store.state(&known.address);
         let was_sound = matches!(state, State::Sound(_));
@@ -232,7 +233,8 @@ impl<'a> Crew<'a> {
                 self.reporter.event(&Event::Warning { stage, text: &format!("{reason}; it is computed again") });
             }
         }
-        self.reporter.event(&Event::Started { stage });
+        let last_s = planner.memory.last(stage).and_then(|last| store.seconds(&last));
+        self.reporter.event(&Event::Started { stage, last_s });
         let progress = StageProgress::new(stage, self.reporter);
         let played = |links: &Vec<super::Link>| {
             let path = |node: usize| inputs[node].as_ref().map(|input| store.dir(&input.address));

@@ -62,13 +62,23 @@ impl Memory {
         Self { last: Mutex::new(read(&path)), path }
     }
 
-    pub(super) fn last(&self, stage: &str) -> Option<Address> {
-        Address::parse(self.last.lock().unwrap_or_else(PoisonError::into_inner).get(stage)?)
+    /// Addresses in the memory of a site folder; none where there is no memory.
+    ///
+    /// # Errors
+    /// When there is one that cannot be read: what it refers to is not known.
+    pub(super) fn strict(site_dir: &Path) -> Result<Vec<Address>> {
+        let path = site_dir.join(LAST);
+        if !path.exists() {
+            return Ok(Vec::new());
+        }
+        let what = || format!("cannot read `{}`, which says what a site uses", path.display());
+        let text = fs::read_to_string(&path).context(what)?;
+        let last: BTreeMap<String, String> = toml::from_str(&text).context(what)?;
+        Ok(last.values().filter_map(|text| Address::parse(text)).collect())
     }
 
-    pub(super) fn all(&self) -> Vec<Address> {
-        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-        last.values().filter_map(|text| Address::parse(text)).collect()
+    pub(super) fn last(&self, stage: &str) -> Option<Address> {
+        Address::parse(self.last.lock().unwrap_or_else(PoisonError::into_inner).get(stage)?)
     }
 
     /// Remembers one stage, and writes only if that is news. What another process wrote meanwhile is kept.

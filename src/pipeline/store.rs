@@ -117,6 +117,11 @@ impl Store {
         self.beside(address, "lock")
     }
 
+    /// File that every run locks while it works, and a collection by itself.
+    pub(super) fn lease_path(&self) -> PathBuf {
+        self.root.join("lease")
+    }
+
     /// Folder for work in flight that survives a kill.
     pub(super) fn checkpoint_dir(&self, address: &Address) -> PathBuf {
         self.beside(address, "checkpoint")

@@ -1,5 +1,6 @@
 //! Tests of whole runs on toy stages: what is computed, why, and what is left on the disk.
 
+use super::lock::Lease;
 use super::*;
 use crate::error::{Error, Result};
 use crate::progress::Quiet;
@@ -367,15 +368,25 @@ fn collection_removes_what_no_site_used_last_and_only_that() {
     let shorter = MANIFEST.replace("count = 4", "count = 2");
     place.run(&shorter, &Options::default()).expect("runs");
     let runs = place.path("runs");
-    let listed = gc(&runs, true).expect("readable");
+    let listed = unused(&runs, &[]).expect("readable");
     // Of the longer ensemble: itself, what joined it, and two items.
     assert_eq!(listed.len(), 4, "{listed:?}");
-    assert_eq!(gc(&runs, false).expect("writable"), listed);
-    assert!(gc(&runs, false).expect("writable").is_empty());
+    // What a manifest still leads to stays, with what it was made from.
+    let joined = listed.iter().find(|u| u.entry.folder.starts_with("join")).expect("listed").entry.clone();
+    assert!(unused(&runs, &[joined]).expect("readable").is_empty());
+    let share = Lease::shared(&runs.join("cache/lease")).expect("locked");
+    let refused = remove(&runs, &listed).expect_err("a run is at work").to_string();
+    assert!(refused.contains("a run is at work"), "{refused}");
+    drop(share);
+    remove(&runs, &listed).expect("writable");
+    assert!(unused(&runs, &[]).expect("readable").is_empty());
     place.computed();
     place.run(&shorter, &Options::default()).expect("runs");
     assert!(place.computed().is_empty());
     assert_eq!(place.plan(MANIFEST, &Options::default()).expect("plans")[3], "ensemble Run `ensemble.count`: 2 → 4");
+    fs::write(runs.join("toy/last.toml"), "what? =").expect("writable");
+    let refused = unused(&runs, &[]).expect_err("nobody knows what is used").to_string();
+    assert!(refused.contains("last.toml"), "{refused}");
 }
 
 #[test]
