@@ -38,8 +38,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
 
 /// One sentence that says no more than is known.
 fn verdict(closing: &Closing) -> String {
-    let is_open = |e: &&NamedEffect| closing.ambiguity.iter().any(|(kind, _)| *kind == e.kind);
-    let (open, sure): (Vec<&NamedEffect>, Vec<&NamedEffect>) = closing.effects.iter().partition(is_open);
+    let (open, sure) = listed_effects(closing);
     let [named, open, sure] = [closing.effects.iter().collect(), open, sure]
         .map(|of: Vec<&NamedEffect>| of.into_iter().map(|e| at(&e.kind, &e.target)).collect::<Vec<_>>());
     let share =
@@ -63,6 +62,11 @@ fn verdict(closing: &Closing) -> String {
             share(closing.explained_share).replace("of it", "of it is explained by the best")
         ),
     }
+}
+
+/// Named effects of which there may be others instead, and those that are sure.
+pub(super) fn listed_effects(closing: &Closing) -> (Vec<&NamedEffect>, Vec<&NamedEffect>) {
+    closing.effects.iter().partition(|e| closing.ambiguity.iter().any(|(kind, _)| *kind == e.kind))
 }
 
 fn at(kind: &str, target: &str) -> String {

@@ -6,6 +6,7 @@
 //! One file a section (`summary`, `closing`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
 //! drawn with the few kinds of figure in `chart` and `heat`; `page` puts them together.
 
+mod answer;
 mod bitmap;
 mod calibrate;
 mod chart;
@@ -32,6 +33,7 @@ mod svg;
 mod thin;
 mod traces;
 
+pub use answer::answer;
 pub use content::Content;
 
 use crate::Result;

@@ -5,7 +5,9 @@ use std::cmp::Ordering;
 use kuva::plot::scatter::MarkerShape;
 use maud::{Markup, html};
 
+use super::answer::answer;
 use super::chart::{self, Axis, Curve, Dots, Frame};
+use super::closing_content::Closing;
 use super::content::{Content, Pair, Score};
 use super::figure::{Section, listed};
 use super::number;
@@ -42,11 +44,23 @@ impl Tally {
 /// The section: always there, because notices and description stand in it.
 pub(super) fn section(content: &Content) -> Option<Section> {
     let body = html! {
+        @if let Some(closing) = &content.closing { (said(closing)) }
         @for notice in &content.notices { p.notice { strong { "Note. " } (notice) } }
         @for paragraph in &content.description { p { (paragraph) } }
         @if !content.scores.is_empty() { (verdict(&content.scores)) (tiles(&content.scores)) (scatter(&content.scores)) }
     };
     Some(Section { id: "summary", title: "Summary".into(), entries: Vec::new(), body })
+}
+
+/// The answer, as the run ended with it.
+fn said(closing: &Closing) -> Markup {
+    let lines = answer(closing);
+    html! {
+        @if let Some((first, others)) = lines.split_first() {
+            p.verdict { (first) }
+            ul.answer { @for line in others { li { (line) } } }
+        }
+    }
 }
 
 /// One sentence on NRMSE, then where FLARE-T is worse.

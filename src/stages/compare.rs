@@ -5,7 +5,7 @@ use super::artifact::{read_json, write_json};
 use super::evaluate::{self, Axis, Evaluation};
 use super::generic::{Channel, Generic};
 use super::side_by_side::{self, Histories, judged};
-use super::{correct, diagnose, extend, records, replay};
+use super::{correct, diagnose, extend, records, replay, report_closing};
 use crate::dataset::Coarse;
 use crate::diagnosis::{
     self, Change, Diagnosis, ErrorRow, NoiseSource, NoiseSpectrum, Six, Summary, Verdict, noise_deviation_m_s2,
@@ -17,6 +17,7 @@ use crate::metrics::rms;
 use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::{Stage, Task};
 use crate::records::{Record, RecordSettings, Sensor, Split};
+use crate::report;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -29,6 +30,8 @@ const FILE: &str = "loop.json";
 /// `loop.json`.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Loop {
+    /// The answer in sentences: what is named, what remains, errors before and after, what to do next.
+    pub answer: Vec<String>,
     /// The answer in a word.
     pub verdict: Verdict,
     /// Effects that the records ask for.
@@ -106,7 +109,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        9
+        10
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -167,10 +170,9 @@ impl Stage for Compare {
             notes.extend(found.changes.iter().map(|change| format!("without physical meaning: {}", change.claim())));
             generic = Some(found);
         }
-        write_json(
-            &task.output_dir().join(FILE),
-            &Loop { generic, noise, ..Loop::new(&diagnosis, errors, summary, notes) },
-        )
+        let answer = report::answer(&report_closing::closing(&diagnosis, &errors, &summary, generic.as_ref()));
+        let found = Loop { answer, generic, noise, ..Loop::new(&diagnosis, errors, summary, notes) };
+        write_json(&task.output_dir().join(FILE), &found)
     }
 }
 
@@ -196,6 +198,7 @@ impl Loop {
             explained_share: c.explained_share,
         });
         Self {
+            answer: Vec::new(),
             verdict: diagnosis.verdict,
             effects: named.collect(),
             declared: diagnosis.declared.clone(),

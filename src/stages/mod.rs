@@ -14,6 +14,7 @@ mod generic;
 mod instrument;
 mod motions;
 mod other_source;
+mod pipelines;
 pub mod predict;
 mod pretrain;
 mod problem;
@@ -28,6 +29,7 @@ mod source_study;
 pub mod twins;
 
 pub use evaluate::Evaluation;
+pub use pipelines::PIPELINES;
 pub use problem::Bench;
 pub use records::measured;
 

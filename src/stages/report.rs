@@ -37,7 +37,7 @@ impl Stage for Report {
     }
 
     fn version(&self) -> u32 {
-        3
+        4
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -53,9 +53,13 @@ impl Stage for Report {
     }
 
     fn run(&self, task: &Task<'_>) -> Result<()> {
-        let (evaluation, axis) = evaluate::read(task.input("evaluate")?)?;
-        write_json(&task.output_dir().join("metrics.json"), &metrics(task, &evaluation)?)?;
-        let content = content(task, &evaluation, axis)?;
+        let trained = task.has_input("evaluate").then(|| evaluate::read(task.input("evaluate")?)).transpose()?;
+        let metrics = match &trained {
+            Some((evaluation, _)) => metrics(task, evaluation)?,
+            None => json!({ "site": task.section::<String>("name")? }),
+        };
+        write_json(&task.output_dir().join("metrics.json"), &metrics)?;
+        let content = content(task, trained)?;
         let path = task.output_dir().join("report.html");
         fs::write(&path, render(&content)?).context(|| format!("cannot write `{}`", path.display()))
     }
@@ -153,7 +157,8 @@ fn guard_metrics(guard: &GuardContent) -> Value {
     })
 }
 
-fn content(task: &Task<'_>, evaluation: &Evaluation, axis: evaluate::Axis) -> Result<Content> {
+/// The content; of what is `trained` where the pipeline trains something.
+fn content(task: &Task<'_>, trained: Option<(Evaluation, evaluate::Axis)>) -> Result<Content> {
     let is_twin = task.optional::<String>("records.format")?.as_deref() == Some("twin");
     let notices = if is_twin {
         vec![
@@ -164,20 +169,24 @@ fn content(task: &Task<'_>, evaluation: &Evaluation, axis: evaluate::Axis) -> Re
     } else {
         Vec::new()
     };
-    Ok(Content {
+    let content = Content {
         site: task.section("name")?,
         description: vec![task.optional("about")?.unwrap_or_default()],
         notices,
+        closing: report_closing::content(task)?,
+        study: source_study::content(task)?,
+        provenance: provenance(task)?,
+        ..Content::default()
+    };
+    let Some((evaluation, axis)) = trained else { return Ok(content) };
+    Ok(Content {
         motions: Some(motions_content(task)?),
         pretrain: Some(pretrain_content(task)?),
         distill: Some(distill_content(task)?),
         calibrate: calibrate_content(task)?,
-        closing: report_closing::content(task)?,
-        study: source_study::content(task)?,
-        held_out: held_out(task, evaluation, axis)?,
-        scores: scores(evaluation),
-        timings: Vec::new(),
-        provenance: provenance(task)?,
+        held_out: held_out(task, &evaluation, axis)?,
+        scores: scores(&evaluation),
+        ..content
     })
 }
 

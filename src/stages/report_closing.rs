@@ -1,7 +1,7 @@
 //! From a diagnosis and a comparison to the report's section on closing the loop.
 
 use super::{compare, diagnose};
-use crate::diagnosis::{DeclaredValue, Diagnosis, Estimate, Six, Summary, Verdict};
+use crate::diagnosis::{self, DeclaredValue, Diagnosis, Estimate, Six, Summary, Verdict};
 use crate::effects::{self, Class};
 use crate::error::Result;
 use crate::metrics::{BiasSigma, LnRatio, SensorTransfer};
@@ -22,19 +22,28 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
     }
     let diagnosis = diagnose::read(task.input("diagnose")?)?;
     let found = compare::read(task.input("compare")?)?;
-    let summary = &found.summary;
+    Ok(Some(closing(&diagnosis, &found.errors, &found.summary, found.generic.as_ref())))
+}
+
+/// The same from a diagnosis and what was compared.
+pub fn closing(
+    diagnosis: &Diagnosis,
+    errors: &[diagnosis::ErrorRow],
+    summary: &Summary,
+    generic: Option<&super::generic::Generic>,
+) -> Closing {
     let medians = list(&summary.test_median_nrmse_percent);
     let intervals = list(&summary.test_ci95_nrmse_percent);
     let means = list(&summary.test_mean_nrmse_percent);
     let models = NAMES.iter().zip(medians.into_iter().zip(means.into_iter().zip(intervals)));
-    let errors = found.errors.iter().map(|row| ErrorRow {
+    let errors = errors.iter().map(|row| ErrorRow {
         event: row.event.clone(),
         component: row.component.clone(),
         sensor: row.sensor.clone(),
         is_held_out: row.split == Split::Test,
         nrmse_percent: list(&row.nrmse_percent),
     });
-    let generic = found.generic.as_ref().map(|g| {
+    let generic = generic.map(|g| {
         let of = g.test_median_nrmse_percent;
         let models = [
             ("Finite elements, a smooth factor for each sensor", [of.fe, of.fe_generic]),
@@ -47,11 +56,11 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
             notes: g.notes(),
         }
     });
-    Ok(Some(Closing {
+    Closing {
         verdict: word(diagnosis.verdict).into(),
-        effects: named(&diagnosis),
+        effects: named(diagnosis),
         ambiguity: diagnosis.ambiguity.iter().map(|kind| (kind.clone(), key(kind))).collect(),
-        candidates: candidates(&diagnosis),
+        candidates: candidates(diagnosis),
         explained_share: diagnosis.explained_share,
         models: models
             .map(|(name, (median_percent, (mean_percent, ci95_percent)))| Model {
@@ -69,8 +78,8 @@ pub fn content(task: &Task<'_>) -> Result<Option<Closing>> {
         declared: diagnosis.declared.iter().map(declared).collect(),
         rest: diagnosis.rest.as_ref().map(rest),
         generic,
-        notes: diagnosis.notes,
-    }))
+        notes: diagnosis.notes.clone(),
+    }
 }
 
 const NAMES: [&str; 7] =
