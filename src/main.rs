@@ -1,14 +1,18 @@
-//! The command line of `flare-pipe`: parse, do, render the error once, exit 0 (done), 1 (a stage failed) or 2 (usage).
+//! The command line of `flare-pipe`: parse, do, render the error once, exit 0 (done), 1 (a stage failed), 2 (usage) or 128 and the
+//! number of the signal that stopped it.
 
 use clap::Parser;
-use flare_pipe::cli::{Arguments, dispatch};
+use flare_pipe::cli::{Arguments, dispatch, stop_on_signals, tell};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    match dispatch(Arguments::parse()) {
+    stop_on_signals();
+    let arguments = Arguments::parse();
+    let json = arguments.json();
+    match dispatch(arguments) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("error: {error}");
+            tell(&error, json);
             ExitCode::from(error.exit_status())
         }
     }

@@ -1,37 +1,77 @@
-//! `flare-pipe check`: every problem in a manifest at once.
+//! `flare-pipe check`: every problem in a manifest and its record files at once.
 
 use super::SiteArguments;
+use super::output::{say, write_json};
+use super::records::inventory;
 use super::workspace::Workspace;
-use crate::column::Column;
+use crate::column::{self, Column};
 use crate::effects;
 use crate::error::Result;
+use serde_json::{Value, json};
 
-/// Checks the manifest and says, where it is right, what it declares.
+/// Elements in a wavelength that are enough.
+const ELEMENTS: f64 = 10.0;
+
+/// A layer with what its elements can carry.
+struct Layer {
+    thickness_m: f64,
+    element_m: f64,
+    /// Where a wavelength has [`ELEMENTS`].
+    highest_hz: f64,
+}
+
+/// Checks the manifest, opens every record, and says, where all is right, what is declared.
 ///
 /// # Errors
 /// One usage error that shows every problem.
-pub fn check(arguments: &SiteArguments) -> Result<()> {
+pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(arguments)?;
     let site = &workspace.manifest.site;
-    eprintln!(
-        "`{}` is right: site `{}`, {} layers over {} m, {} elements, {} base motions, {} events",
+    let profile = site.column().profile()?;
+    let column = Column::new(&profile, &site.analysis)?;
+    let left_alone = effects::left_alone(&site.effects, &profile);
+    let rows = inventory(&workspace.manifest)?;
+    let remarks: Vec<String> = rows.iter().flat_map(super::records::Row::sentences).collect();
+    let layer = |(l, count): (&column::Layer, usize)| {
+        let element_m = l.thickness_m / count as f64;
+        Layer { thickness_m: l.thickness_m, element_m, highest_hz: l.vs_m_s / (ELEMENTS * element_m) }
+    };
+    let layers: Vec<Layer> = profile.layers.iter().zip(profile.elements_per_layer()).map(layer).collect();
+    let n_event = site.records.as_ref().map_or(0, |r| r.events().count());
+    if json {
+        let layer =
+            |l: &Layer| json!({ "thickness_m": l.thickness_m, "element_m": l.element_m, "f_max_hz": l.highest_hz });
+        return write_json(&json!({
+            "manifest": arguments.site, "site": site.name, "pipeline": workspace.pipeline, "depth_m": site.site.depth_m,
+            "layers": layers.iter().map(layer).collect::<Vec<Value>>(), "frequency_hz": column.frequency_hz(),
+            "events": n_event, "records": rows, "notes": left_alone,
+        }));
+    }
+    say!(
+        "`{}` is right: site `{}`, {} layers over {} m, {} elements, {} base motions, {n_event} events",
         arguments.site.display(),
         site.name,
-        site.site.layer.len(),
+        layers.len(),
         site.site.depth_m,
         site.site.elements,
         site.motions.count,
-        site.records.as_ref().map_or(0, |r| r.events().count()),
     );
-    let profile = site.column().profile()?;
-    let column = Column::new(&profile, &site.analysis)?;
-    eprintln!("  frequency from the travel time of shear waves: {:.2} Hz", column.frequency_hz());
+    say!("  pipeline: {}", workspace.pipeline);
+    say!("  frequency from the travel time of shear waves: {:.2} Hz", column.frequency_hz());
     let moduli = column.shear_modulus_pa();
     let range = |values: &[f64]| values.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
     let (least, largest) = range(&moduli);
-    eprintln!("  small-strain shear modulus: {:.1}–{:.1} MPa", least / 1e6, largest / 1e6);
-    for sentence in effects::left_alone(&site.effects, &profile) {
-        eprintln!("  {sentence}");
+    say!("  small-strain shear modulus: {:.1}–{:.1} MPa", least / 1e6, largest / 1e6);
+    let coarsest = layers.iter().enumerate().min_by(|a, b| a.1.highest_hz.total_cmp(&b.1.highest_hz));
+    if let Some((i, layer)) = coarsest {
+        say!(
+            "  ten elements in a wavelength up to {:.1} Hz, in `site.layer[{}]` ({} m thick, elements of {:.2} m)",
+            layer.highest_hz,
+            i + 1,
+            layer.thickness_m,
+            layer.element_m
+        );
     }
+    left_alone.iter().chain(&remarks).for_each(|sentence| say!("  {sentence}"));
     Ok(())
 }

@@ -1,32 +1,105 @@
 //! `flare-pipe gc`: removes what no site refers to.
 
-use crate::error::Result;
-use crate::pipeline;
+use super::SiteArguments;
+use super::output::{data, say, write_json};
+use super::reporter::clock;
+use super::workspace::{Workspace, project_root};
+use crate::error::{Context, Error, Result};
+use crate::pipeline::{self, Address, Unused};
 use clap::Args;
-use std::path::PathBuf;
+use serde_json::json;
+use std::io::{BufRead, IsTerminal, Write};
+use std::path::{Path, PathBuf};
 
 /// Where, and whether only to say.
 #[derive(Debug, Args)]
 pub struct GcArguments {
-    /// Folder for results and cache
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    run_dir: PathBuf,
+    /// Folder for results and cache [default: `runs` in the folder of the project]
+    #[arg(long, value_name = "DIR")]
+    run_dir: Option<PathBuf>,
     /// Only list what would be removed
     #[arg(long)]
     dry_run: bool,
+    /// Do not ask
+    #[arg(long)]
+    yes: bool,
 }
 
-/// Removes unused cache entries and lists them.
+/// Folders below that of a project in which manifests are looked for.
+const DEPTH: usize = 3;
+
+/// Lists cache entries that neither a manifest of the project nor what was run last refers to, asks, and removes them.
 ///
 /// # Errors
-/// When the run directory cannot be read or written.
-pub fn gc(arguments: &GcArguments) -> Result<()> {
-    let removed = pipeline::gc(&arguments.run_dir, arguments.dry_run)?;
-    for entry in &removed {
-        println!("{}  {:.1} MB", entry.entry, entry.bytes as f64 / 1e6);
+/// When the run directory cannot be read or written, a run is at work in it, or nobody can be asked.
+pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
+    let root = project_root(Path::new(""));
+    let run_dir = arguments.run_dir.clone().unwrap_or_else(|| root.join("runs"));
+    let unused = pipeline::unused(&run_dir, &needed(&root, &run_dir))?;
+    let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 / 1e6);
+    let total = megabytes(unused.iter().map(|r| r.bytes).sum());
+    if !as_json {
+        for Unused { entry, bytes, age_s, .. } in &unused {
+            let age = age_s.map_or("–".into(), age);
+            data!("{:24} {}  {:>10}  {age:>12} old", entry.folder, entry.key.short(), megabytes(*bytes))?;
+        }
     }
-    let megabytes = removed.iter().map(|r| r.bytes).sum::<u64>() as f64 / 1e6;
-    let verb = if arguments.dry_run { "would be removed" } else { "removed" };
-    eprintln!("{} entries, {megabytes:.1} MB {verb}", removed.len());
+    let is_asked = !arguments.dry_run && !arguments.yes && !unused.is_empty();
+    let is_removed = !arguments.dry_run && (!is_asked || confirmed(unused.len(), &total)?);
+    if is_removed {
+        pipeline::remove(&run_dir, &unused)?;
+    }
+    if as_json {
+        return write_json(&json!({ "is_removed": is_removed, "entries": unused }));
+    }
+    let verb = if is_removed { "removed" } else { "not removed" };
+    say!("{} entries, {total}, {verb}", unused.len());
     Ok(())
+}
+
+fn age(seconds: u64) -> String {
+    match seconds / 86_400 {
+        0 => clock(seconds as f64),
+        1 => "1 day".into(),
+        days => format!("{days} days"),
+    }
+}
+
+fn confirmed(count: usize, total: &str) -> Result<bool> {
+    let stdin = std::io::stdin();
+    if !stdin.is_terminal() {
+        let hint = "`--yes` removes them, `--dry-run` only lists them";
+        return Err(Error::new(format!("nobody can be asked whether to remove {count} entries")).hint(hint).usage());
+    }
+    let _ = write!(std::io::stderr(), "Remove these {count} entries, {total}? [y/N] ");
+    let mut answer = String::new();
+    stdin.lock().read_line(&mut answer).context(|| "cannot read the answer".into())?;
+    Ok(["y", "yes"].contains(&answer.trim().to_lowercase().as_str()))
+}
+
+/// Entries that manifests of the project lead to as they are.
+fn needed(root: &Path, run_dir: &Path) -> Vec<Address> {
+    let mut found = Vec::new();
+    for site in manifests(root, DEPTH) {
+        let arguments = SiteArguments { site, pipeline: None, set: Vec::new(), run_dir: Some(run_dir.to_path_buf()) };
+        // What is no manifest, or none that is right, leads nowhere.
+        let Ok(workspace) = Workspace::open(&arguments) else { continue };
+        let stages = pipeline::status(&workspace.site(), &workspace.graph).unwrap_or_default();
+        found.extend(stages.into_iter().filter_map(|stage| stage.entry));
+    }
+    found
+}
+
+fn manifests(folder: &Path, depth: usize) -> Vec<PathBuf> {
+    let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
+    let mut found = Vec::new();
+    for path in std::fs::read_dir(folder).into_iter().flatten().filter_map(|e| Some(e.ok()?.path())) {
+        let is_hidden = path.file_name().is_none_or(|name| name.to_string_lossy().starts_with('.'));
+        if path.is_dir() && !is_hidden && depth > 0 && !path.join("cache").is_dir() {
+            found.extend(manifests(&path, depth - 1));
+        } else if path.extension().is_some_and(|e| e == "toml") {
+            found.push(path);
+        }
+    }
+    found
 }

@@ -4,18 +4,25 @@ mod check;
 mod completions;
 mod gc;
 mod graph;
+mod init;
 mod list;
+mod output;
 mod power;
 mod predict;
+mod records;
 mod report;
 mod reporter;
 mod run;
 mod schema;
 mod show;
+mod signals;
 mod status;
 mod twin;
 mod twins;
 mod workspace;
+
+pub use output::tell;
+pub use signals::stop_on_signals;
 
 use crate::error::Result;
 use clap::{Args, Parser, Subcommand};
@@ -25,20 +32,34 @@ use std::path::PathBuf;
 #[derive(Debug, Parser)]
 #[command(name = "flare-pipe", version, about, max_term_width = 110)]
 pub struct Arguments {
+    /// Print the result, or what went wrong, as JSON on stdout
+    #[arg(long, global = true)]
+    json: bool,
     #[command(subcommand)]
     command: Command,
 }
 
+impl Arguments {
+    /// Whether results and errors are to be JSON.
+    pub fn json(&self) -> bool {
+        self.json
+    }
+}
+
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Write the first manifest of a site, from a profile and a folder of records
+    Init(init::InitArguments),
     /// Run the pipeline of a site; what is cached is not computed again
     Run(run::RunArguments),
     /// What would run and why, stage by stage
     Plan(run::RunArguments),
     /// Every problem in a manifest at once, with file, line, caret and hint
     Check(SiteArguments),
+    /// What is in the record files: step, length, peaks, band with signal, and what is odd
+    Records(SiteArguments),
     /// State, key, time and size of each stage
-    Status(status::StatusArguments),
+    Status(SiteArguments),
     /// Predict the response to one new event from its base motion and a short initial window
     Predict(predict::PredictArguments),
     /// Before any data: which effects could this array and split reveal, which are confusable
@@ -74,9 +95,10 @@ pub struct SiteArguments {
     /// Override a manifest value, for example --set pretrain.latent=6 (repeatable)
     #[arg(long, value_name = "KEY=VALUE")]
     set: Vec<String>,
-    /// Folder for results and cache
-    #[arg(long, value_name = "DIR", default_value = "runs")]
-    run_dir: PathBuf,
+    /// Folder for results and cache [default: `runs` in the folder of the project, which is the nearest one up from the manifest that
+    /// has `pipelines` or results, or its own]
+    #[arg(long, value_name = "DIR")]
+    run_dir: Option<PathBuf>,
 }
 
 /// Does what the command line asks.
@@ -84,21 +106,24 @@ pub struct SiteArguments {
 /// # Errors
 /// Whatever the command could not do.
 pub fn dispatch(arguments: Arguments) -> Result<()> {
+    let json = arguments.json;
     match arguments.command {
-        Command::Run(arguments) => run::run(&arguments),
-        Command::Plan(arguments) => run::plan(&arguments),
-        Command::Check(arguments) => check::check(&arguments),
-        Command::Status(arguments) => status::status(&arguments),
-        Command::Predict(arguments) => predict::predict(&arguments),
-        Command::Power(arguments) => power::power(&arguments),
-        Command::Twin(arguments) => twin::twin(&arguments),
-        Command::Twins(arguments) => twins::twins(&arguments),
-        Command::Report(arguments) => report::report(&arguments),
-        Command::Show(arguments) => show::show(&arguments),
-        Command::Graph(arguments) => graph::graph(&arguments),
-        Command::List(arguments) => list::list(&arguments),
+        Command::Init(arguments) => init::init(&arguments, json),
+        Command::Run(arguments) => run::run(&arguments, json),
+        Command::Plan(arguments) => run::plan(&arguments, json),
+        Command::Check(arguments) => check::check(&arguments, json),
+        Command::Records(arguments) => records::records(&arguments, json),
+        Command::Status(arguments) => status::status(&arguments, json),
+        Command::Predict(arguments) => predict::predict(&arguments, json),
+        Command::Power(arguments) => power::power(&arguments, json),
+        Command::Twin(arguments) => twin::twin(&arguments, json),
+        Command::Twins(arguments) => twins::twins(&arguments, json),
+        Command::Report(arguments) => report::report(&arguments, json),
+        Command::Show(arguments) => show::show(&arguments, json),
+        Command::Graph(arguments) => graph::graph(&arguments, json),
+        Command::List(arguments) => list::list(&arguments, json),
         Command::Schema => schema::schema(),
-        Command::Gc(arguments) => gc::gc(&arguments),
+        Command::Gc(arguments) => gc::gc(&arguments, json),
         Command::Completions(arguments) => completions::completions(&arguments),
     }
 }

@@ -1,9 +1,10 @@
 //! `flare-pipe power`: before any data, which effects an array could reveal and which it would confuse.
 
 use super::SiteArguments;
+use super::output::{data, write_json};
 use super::workspace::Workspace;
 use crate::diagnosis::Problem;
-use crate::error::{Context, Error, Result};
+use crate::error::{Error, Result};
 use crate::inference::{self, Power, Sensitivity};
 use crate::manifest::Site;
 use crate::motion::suite;
@@ -22,9 +23,6 @@ pub struct PowerArguments {
     /// Noise of every sensor, as a share of the RMS of the base motion
     #[arg(long, value_name = "SHARE", default_value = "0.03")]
     noise: f64,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
 }
 
 /// Time step of the assumed records, s.
@@ -37,7 +35,7 @@ const EVENTS: [usize; 2] = [8, 3];
 ///
 /// # Errors
 /// When the manifest is wrong or its column cannot be built.
-pub fn power(arguments: &PowerArguments) -> Result<()> {
+pub fn power(arguments: &PowerArguments, json: bool) -> Result<()> {
     if !(1e-4..=1.0).contains(&arguments.noise) {
         return Err(Error::new(format!("`--noise` must be in 0.0001…1, got {}", arguments.noise)).usage());
     }
@@ -45,12 +43,7 @@ pub fn power(arguments: &PowerArguments) -> Result<()> {
     let site = &workspace.manifest.site;
     let bench = assumed(site, arguments.noise)?;
     let found = inference::power(&bench.problem, &bench, &site.diagnose)?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&found).context(|| "cannot write the assessment".into())?);
-    } else {
-        print(&bench.problem, &found);
-    }
-    Ok(())
+    if json { write_json(&found) } else { print(&bench.problem, &found) }
 }
 
 /// The array with motions of the suite as events, as many as the manifest names, in each component another.
@@ -88,7 +81,7 @@ fn assumed(site: &Site, noise: f64) -> Result<Bench<'static>> {
     let settings = RecordSettings {
         format: "csv".into(),
         dir: None,
-        unit: AccelerationUnit::MetrePerSecondSquared,
+        unit: Some(AccelerationUnit::MetrePerSecondSquared),
         truth: None,
         train: named(false),
         validation: named(true),
@@ -110,10 +103,10 @@ fn spread(n: usize, count: usize) -> Vec<bool> {
     (0..n).map(|i| chosen.contains(&i)).collect()
 }
 
-fn print(problem: &Problem, power: &Power) {
+fn print(problem: &Problem, power: &Power) -> Result<()> {
     let n_event = problem.events.len();
-    println!("assumed: {n_event} records at {} output sensors; noise in every sensor", problem.array.outputs.len());
-    println!("{:28} {:22} {:>9} {:>9}  visible  smallest visible", "effect", "best place", "expected", "needed");
+    data!("assumed: {n_event} records at {} output sensors; noise in every sensor", problem.array.outputs.len())?;
+    data!("{:28} {:22} {:>9} {:>9}  visible  smallest visible", "effect", "best place", "expected", "needed")?;
     let mut kinds: Vec<&str> = Vec::new();
     for effect in &power.effects {
         if kinds.contains(&effect.kind.as_str()) {
@@ -122,18 +115,19 @@ fn print(problem: &Problem, power: &Power) {
         kinds.push(&effect.kind);
         let Sensitivity { kind, target, expected_score, needed_score, .. } = effect;
         let visible = if effect.is_visible { "yes" } else { "no" };
-        println!(
+        data!(
             "{kind:28} {target:22} {expected_score:9.1} {needed_score:9.1}  {visible:7}  {}",
             match effect.detectable {
                 Some(value) => format!("{} {} {}", effect.parameter, significant(value), effect.unit),
                 None if effect.parameter.is_empty() => "–".into(),
                 None => "none up to twice the typical strength".into(),
             }
-        );
+        )?;
     }
     for class in &power.classes {
-        println!("cannot be told apart: {}", class.join(", "));
+        data!("cannot be told apart: {}", class.join(", "))?;
     }
+    Ok(())
 }
 
 /// Three significant figures.

@@ -1,16 +1,17 @@
 //! `flare-pipe predict`: the response to one new event.
 
 use super::SiteArguments;
+use super::output::write_json;
 use super::workspace::Workspace;
 use crate::dataset::{Header, Sample, TrajectoryWriter};
 use crate::error::{Context, Error, Result};
 use crate::numerics::resample::{half_steps, resample_band_limited};
 use crate::pipeline;
-use crate::records::csv::columns;
+use crate::records;
 use crate::stages::predict::Predictor;
 use clap::Args;
+use serde_json::json;
 use std::collections::BTreeMap;
-use std::fs::File;
 use std::path::{Path, PathBuf};
 
 /// Which site, component and event.
@@ -36,17 +37,18 @@ pub struct PredictArguments {
 ///
 /// # Errors
 /// When the model is not stored, a file does not hold what it should, or the latent state leaves its bounds.
-pub fn predict(arguments: &PredictArguments) -> Result<()> {
+pub fn predict(arguments: &PredictArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     let site = workspace.site();
     let folder = |stage: &str| pipeline::output(&site, &workspace.graph, stage);
     let calibration = folder(&format!("calibrate.{}", arguments.component))?;
     let model = Predictor::load(&folder("dataset")?, &folder("pretrain")?, &folder("distill")?, &calibration)?;
     let sections = &workspace.manifest.site;
-    let unit = sections.records.as_ref().map_or(1.0, |r| r.unit.m_s2());
+    let unit = sections.records.as_ref().and_then(|r| r.unit);
     let names = sections.sensors.names();
-    let base = read(&arguments.input, &[&sections.sensors.input], unit)?;
-    let window = read(&arguments.window, &names.iter().map(String::as_str).collect::<Vec<_>>(), unit)?;
+    let outputs: Vec<&str> = names.iter().map(String::as_str).collect();
+    let base = records::csv::read(&arguments.input, &[&sections.sensors.input], unit).map_err(Error::usage)?;
+    let window = records::csv::read(&arguments.window, &outputs, unit).map_err(Error::usage)?;
     let step_s = model.step_s();
     let coarse: Vec<Vec<f64>> = window.channels.iter().map(|c| resample_band_limited(c, window.dt_s, step_s)).collect();
     let base_m_s2 = resample_band_limited(&base.channels[0], base.dt_s, step_s);
@@ -58,16 +60,11 @@ pub fn predict(arguments: &PredictArguments) -> Result<()> {
     let event =
         Event { site: &sections.name, names: &names, step_s, start, base_m_s2: &base_m_s2, predicted: &predicted };
     match arguments.output.extension().and_then(|e| e.to_str()) {
-        Some("mcap") => event.write_mcap(&arguments.output),
-        Some("csv") => event.write_csv(&arguments.output),
-        _ => Err(Error::new(format!("`{}` must end in `.csv` or `.mcap`", arguments.output.display())).usage()),
+        Some("mcap") => event.write_mcap(&arguments.output)?,
+        Some("csv") => event.write_csv(&arguments.output)?,
+        _ => return Err(Error::new(format!("`{}` must end in `.csv` or `.mcap`", arguments.output.display())).usage()),
     }
-}
-
-fn read(path: &Path, names: &[&str], unit_m_s2: f64) -> Result<crate::records::csv::Table> {
-    let place = |e: Error| e.at(format!("`{}`", path.display())).usage();
-    let file = File::open(path).context(|| format!("cannot read `{}`", path.display())).map_err(Error::usage)?;
-    columns(file, names, unit_m_s2).map_err(place)
+    if json { write_json(&json!({ "output": arguments.output, "sensors": names, "step_s": step_s })) } else { Ok(()) }
 }
 
 /// A predicted event.

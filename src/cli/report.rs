@@ -1,17 +1,19 @@
 //! `flare-pipe report`: the report again, from cached results.
 
 use super::SiteArguments;
+use super::output::{data, write_json};
 use super::reporter::{Terminal, Verbosity};
 use super::run::publish_metrics;
 use super::workspace::Workspace;
 use crate::error::Result;
 use crate::pipeline::{self, Mode, Options};
+use serde_json::json;
 
 /// Rebuilds the report; everything it needs must be stored.
 ///
 /// # Errors
 /// When a result it needs is not stored.
-pub fn report(arguments: &SiteArguments) -> Result<()> {
+pub fn report(arguments: &SiteArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(arguments)?;
     let stage = vec!["report".to_string()];
     let options = Options { only: stage.clone(), force: stage, ..Options::default() };
@@ -21,6 +23,6 @@ pub fn report(arguments: &SiteArguments) -> Result<()> {
         return Err(failure.error);
     }
     publish_metrics(&workspace)?;
-    println!("{}", site.dir().join("report.html").display());
-    Ok(())
+    let path = site.dir().join("report.html");
+    if json { write_json(&json!({ "report": path })) } else { data!("{}", path.display()) }
 }

@@ -1,7 +1,8 @@
 //! `flare-pipe run` and `flare-pipe plan`.
 
 use super::SiteArguments;
-use super::reporter::{Terminal, Verbosity, log_to, plan_line};
+use super::output::{data, say, write_json};
+use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
 use super::workspace::Workspace;
 use crate::error::{Context, Error, Result};
 use crate::pipeline::{self, Mode, Options, Summary, write_if_changed};
@@ -9,6 +10,7 @@ use crate::progress::Quiet;
 use crate::stages::correct;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
+use std::path::PathBuf;
 
 /// What to run and how.
 #[derive(Debug, Args)]
@@ -36,9 +38,6 @@ pub struct RunArguments {
     /// Where ensembles are computed
     #[arg(long, value_enum, default_value = "local")]
     executor: Executor,
-    /// Print decisions and outcome as JSON on stdout
-    #[arg(long)]
-    json: bool,
     /// Say less
     #[arg(short, long, conflicts_with = "verbose")]
     quiet: bool,
@@ -82,13 +81,37 @@ impl RunArguments {
 /// What a run ends with saying where it is, of what its pipeline publishes.
 const ANSWERS: [(&str, &str); 2] = [("loop", "loop.json"), ("report", "report.html")];
 
+/// What a run ends with: the answer of the loop, and the files that people look at, as far as they are of these settings.
+struct Answer {
+    lines: Vec<String>,
+    verdict: Option<Value>,
+    files: Vec<(&'static str, PathBuf)>,
+}
+
+impl Answer {
+    fn of(workspace: &Workspace) -> Self {
+        let (site, graph) = (workspace.site(), &workspace.graph);
+        let is_current = |name: &str| {
+            let publisher = graph.nodes().iter().find(|n| n.publishes.iter().any(|(_, p)| p == name));
+            publisher.is_some_and(|node| pipeline::output(&site, graph, &node.name).is_ok())
+        };
+        let current = ANSWERS.into_iter().filter(|(_, name)| is_current(name));
+        let files: Vec<(&str, PathBuf)> = current.map(|(what, name)| (what, site.dir().join(name))).collect();
+        let found = files.iter().find(|(what, _)| *what == "loop").and_then(|(_, path)| std::fs::read(path).ok());
+        let found: Value = found.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default();
+        let lines =
+            found["answer"].as_array().into_iter().flatten().filter_map(|line| Some(line.as_str()?.to_string()));
+        Self { lines: lines.collect(), verdict: found.get("verdict").cloned(), files }
+    }
+}
+
 /// Decides and, unless `--dry-run` says otherwise, does.
 ///
 /// # Errors
 /// Usage errors, and the first failure of a stage.
-pub fn run(arguments: &RunArguments) -> Result<()> {
+pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     if arguments.dry_run {
-        return plan(arguments);
+        return plan(arguments, json);
     }
     let Executor::Local = arguments.executor;
     let workspace = Workspace::open(&arguments.site)?;
@@ -98,25 +121,27 @@ pub fn run(arguments: &RunArguments) -> Result<()> {
     let site = workspace.site();
     log_to(site.dir().join("log.txt"));
     let terminal = Terminal::new(arguments.verbosity());
+    let start = std::time::Instant::now();
     let mut summary = pipeline::run(&site, &workspace.graph, &options, Mode::Run, &terminal)?;
     publish_metrics(&workspace)?;
     publish_correction(&workspace)?;
-    print_json(arguments, &summary)?;
+    let answer = Answer::of(&workspace);
+    if json {
+        print_json(&summary, Some(&answer))?;
+    }
     if summary.failures.is_empty() {
         if arguments.verbosity() > Verbosity::Quiet {
-            let published = workspace.graph.nodes().iter().flat_map(|n| &n.publishes).map(|(_, name)| name);
-            for (what, name) in ANSWERS.iter().filter(|(_, name)| published.clone().any(|p| p == name)) {
-                let path = site.dir().join(name);
-                if path.is_file() {
-                    eprintln!("{what}: {}", path.display());
-                }
-            }
+            let count = summary.computed.len();
+            let stages = if count == 1 { "stage" } else { "stages" };
+            say!("{count} {stages} computed in {}\n", clock(start.elapsed().as_secs_f64()));
+            answer.lines.iter().for_each(|line| say!("{line}"));
+            answer.files.iter().for_each(|(what, path)| say!("{what}: {}", path.display()));
         }
         return Ok(());
     }
     let first = summary.failures.remove(0);
     for failure in &summary.failures {
-        eprintln!("error: {}\n", failure.error);
+        say!("error: {}\n", failure.error);
     }
     Err(first.error)
 }
@@ -125,29 +150,31 @@ pub fn run(arguments: &RunArguments) -> Result<()> {
 ///
 /// # Errors
 /// Usage errors.
-pub fn plan(arguments: &RunArguments) -> Result<()> {
+pub fn plan(arguments: &RunArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     let summary = pipeline::run(&workspace.site(), &workspace.graph, &arguments.options()?, Mode::Plan, &Quiet)?;
-    if arguments.json {
-        return print_json(arguments, &summary);
+    if json {
+        return print_json(&summary, None);
     }
+    say!("pipeline: {}", workspace.pipeline);
     for decision in &summary.decisions {
-        println!("{}", plan_line(decision));
+        data!("{}", plan_line(decision))?;
     }
     Ok(())
 }
 
-fn print_json(arguments: &RunArguments, summary: &Summary) -> Result<()> {
-    if arguments.json {
-        let failures: Vec<Value> =
-            summary.failures.iter().map(|f| json!({ "stage": f.stage, "error": f.error.to_string() })).collect();
-        let outcome = json!({
-            "decisions": summary.decisions, "computed": summary.computed,
-            "failures": failures, "skipped": summary.skipped,
-        });
-        println!("{}", serde_json::to_string_pretty(&outcome).context(|| "cannot write the outcome".into())?);
+fn print_json(summary: &Summary, answer: Option<&Answer>) -> Result<()> {
+    let failures: Vec<Value> =
+        summary.failures.iter().map(|f| json!({ "stage": f.stage, "error": f.error.to_string() })).collect();
+    let mut outcome = json!({
+        "decisions": summary.decisions, "computed": summary.computed,
+        "failures": failures, "skipped": summary.skipped,
+    });
+    if let Some(Answer { lines, verdict, files }) = answer {
+        let files: Map<String, Value> = files.iter().map(|(what, path)| ((*what).into(), json!(path))).collect();
+        outcome["answer"] = json!({ "verdict": verdict, "lines": lines, "files": files });
     }
-    Ok(())
+    write_json(&outcome)
 }
 
 /// `site.corrected.toml`: the manifest with the sections that the stage `correct` wrote, a site of its own that runs by

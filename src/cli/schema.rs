@@ -1,7 +1,8 @@
 //! `flare-pipe schema`: the JSON Schema of a site manifest, laws and effects included.
 
+use super::output::write_json;
 use crate::effects::EFFECTS;
-use crate::error::{Context, Result};
+use crate::error::Result;
 use crate::manifest;
 use crate::soil::LAWS;
 use serde_json::json;
@@ -16,6 +17,5 @@ pub fn schema() -> Result<()> {
     let effects: serde_json::Map<_, _> =
         EFFECTS.iter().map(|e| (e.name.to_string(), (e.schema)().to_value())).collect();
     schema["definitions-by-kind"] = json!({ "law": laws, "effect": effects });
-    println!("{}", serde_json::to_string_pretty(&schema).context(|| "cannot write the schema".into())?);
-    Ok(())
+    write_json(&schema)
 }

@@ -1,11 +1,13 @@
 //! `flare-pipe show`: what is inside the trained model of a site.
 
 use super::SiteArguments;
+use super::output::{data, write_json};
 use super::workspace::Workspace;
 use crate::error::{Error, Result};
 use crate::flare::{Calibration, SourceModel};
 use crate::pipeline;
 use clap::{Args, Subcommand};
+use serde_json::json;
 
 /// What to show.
 #[derive(Debug, Args)]
@@ -34,21 +36,24 @@ struct ModelArguments {
 ///
 /// # Errors
 /// When the model is not stored.
-pub fn show(arguments: &ShowArguments) -> Result<()> {
+pub fn show(arguments: &ShowArguments, json: bool) -> Result<()> {
     let What::Model(arguments) = &arguments.what;
-    model(arguments)
+    model(arguments, json)
 }
 
 /// Prints one equation a latent variable, each block under a line that starts with `#`.
-fn model(arguments: &ModelArguments) -> Result<()> {
+fn model(arguments: &ModelArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     let site = workspace.site();
     let (model, _) = SourceModel::load(&pipeline::output(&site, &workspace.graph, "pretrain")?)?;
     let n_term = model.shape.library().n_coefficient();
-    if arguments.component.is_none() {
-        let kept = model.mask.iter().filter(|k| **k).count();
-        println!("# source model: {kept} of {n_term} coefficients, 1/s");
-        model.equations().iter().for_each(|line| println!("{line}"));
+    let mut all = Vec::new();
+    let kept = model.mask.iter().filter(|k| **k).count();
+    if json && arguments.component.is_none() {
+        all.push(json!({ "component": null, "kept": kept, "of": n_term, "equations_1_s": model.equations() }));
+    } else if arguments.component.is_none() {
+        data!("# source model: {kept} of {n_term} coefficients, 1/s")?;
+        model.equations().iter().try_for_each(|line| data!("{line}"))?;
     }
     let calibrated = workspace.graph.nodes().iter().filter(|n| n.family == "calibrate");
     let mut is_found = false;
@@ -61,21 +66,29 @@ fn model(arguments: &ModelArguments) -> Result<()> {
         let folder = match pipeline::output(&site, &workspace.graph, &node.name) {
             Ok(folder) => folder,
             Err(error) if arguments.component.is_some() => return Err(error),
+            Err(_) if json => continue,
             Err(_) => {
-                println!("\n# component {component}: not calibrated yet");
+                data!("\n# component {component}: not calibrated yet")?;
                 continue;
             }
         };
         let calibration = Calibration::load(&folder, &model.shape)?;
         let (kept, cosine) = (calibration.terms_kept(), calibration.cosine_similarity);
+        if json {
+            let equations = calibration.equations(&model.shape);
+            all.push(json!({ "component": component, "kept": kept, "of": n_term, "cosine_similarity": cosine,
+                "equations_1_s": equations }));
+            continue;
+        }
         let gap = if arguments.component.is_none() { "\n" } else { "" };
-        println!("{gap}# component {component}: {kept} of {n_term} coefficients, cosine similarity {cosine:.5}, 1/s");
-        calibration.equations(&model.shape).iter().for_each(|line| println!("{line}"));
+        data!("{gap}# component {component}: {kept} of {n_term} coefficients, cosine similarity {cosine:.5}, 1/s")?;
+        calibration.equations(&model.shape).iter().try_for_each(|line| data!("{line}"))?;
     }
     match &arguments.component {
         Some(component) if !is_found => {
             Err(Error::new(format!("the pipeline calibrates no component `{component}`")).usage())
         }
+        _ if json => write_json(&all),
         _ => Ok(()),
     }
 }

@@ -1,5 +1,6 @@
 //! `flare-pipe twin`: the records of a twin site as files.
 
+use super::output::{data, write_json};
 use crate::error::{Context, Result};
 use crate::manifest::Manifest;
 use crate::records::{self, Record, RecordSettings};
@@ -8,6 +9,7 @@ use crate::twin::{self, Truth};
 use crate::units::AccelerationUnit;
 use clap::Args;
 use rayon::prelude::*;
+use serde_json::json;
 use std::path::PathBuf;
 
 /// Which truth and where to.
@@ -25,7 +27,7 @@ pub struct TwinArguments {
 ///
 /// # Errors
 /// When the truth or its site manifest is wrong, a record is not sound, or the truth column does not finish.
-pub fn twin(arguments: &TwinArguments) -> Result<()> {
+pub fn twin(arguments: &TwinArguments, json: bool) -> Result<()> {
     let truth = Truth::load(&arguments.truth)?;
     let site = arguments.truth.parent().unwrap_or(std::path::Path::new(".")).join(&truth.site);
     let manifest = Manifest::load(&site, &[])?;
@@ -34,10 +36,10 @@ pub fn twin(arguments: &TwinArguments) -> Result<()> {
         Some(settings) if settings.format != "twin" => altered(arguments, &manifest, settings.clone())?,
         _ => recorded(arguments, &manifest, &truth)?,
     };
-    for path in written {
-        println!("{}", path.display());
+    if json {
+        return write_json(&json!({ "files": written }));
     }
-    Ok(())
+    written.iter().try_for_each(|path| data!("{}", path.display()))
 }
 
 /// What the truth column's sensors record.

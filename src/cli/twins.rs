@@ -1,9 +1,10 @@
 //! `flare-pipe twins`: how well the diagnosis does on twins of a site whose truth is known.
 
 use super::SiteArguments;
+use super::output::{data, write_json};
 use super::reporter::{Terminal, Verbosity};
 use super::workspace::Workspace;
-use crate::error::{Context, Error, Result};
+use crate::error::{Error, Result};
 use crate::pipeline::{self, Graph, Mode, Options, Recipe, Site};
 use crate::stages::{STAGES, twins as stage};
 use crate::twin::{Matrix, Report, Share, Spread, Tally};
@@ -25,9 +26,6 @@ pub struct TwinsArguments {
     /// Twins computed at once [default: one a core]
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
-    /// Print everything as JSON instead of tables
-    #[arg(long)]
-    json: bool,
     /// Say less
     #[arg(short, long)]
     quiet: bool,
@@ -42,7 +40,7 @@ name = 'twins'
 ///
 /// # Errors
 /// Usage errors; what the stages cannot do.
-pub fn twins(arguments: &TwinsArguments) -> Result<()> {
+pub fn twins(arguments: &TwinsArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     if workspace.manifest.site.records.is_none() {
         let what = "the manifest has no `[records]`: which events calibrate, validate and test?";
@@ -71,36 +69,32 @@ pub fn twins(arguments: &TwinsArguments) -> Result<()> {
         return Err(failure.error);
     }
     let report = stage::read(&pipeline::output(&site, &graph, "twins")?)?;
-    if arguments.json {
-        println!("{}", serde_json::to_string_pretty(&report).context(|| "cannot write the report".into())?);
-    } else {
-        print(&report);
+    if json { write_json(&report) } else { print(&report) }
+}
+
+fn print(report: &Report) -> Result<()> {
+    for (name, tally) in &report.cells {
+        lines(name, tally)?;
+    }
+    for (name, tally) in &report.surviving {
+        lines(&format!("{name}: those whose error outlives recalibration"), tally)?;
+    }
+    if let Some(factor) = report.inflation {
+        data!("half-widths of all intervals × {factor:.2} would hold 95 % of the truths; none is applied")?;
+    }
+    data!("what held → what was said")?;
+    for (held, answers) in &report.confusion {
+        for (answer, count) in answers {
+            data!("  {held:44} {count:4}  {answer}")?;
+        }
+    }
+    for (twin, reason) in &report.failed {
+        data!("  {twin} could not be computed: {}", reason.lines().next().unwrap_or_default())?;
     }
     Ok(())
 }
 
-fn print(report: &Report) {
-    for (name, tally) in &report.cells {
-        lines(name, tally);
-    }
-    for (name, tally) in &report.surviving {
-        lines(&format!("{name}: those whose error outlives recalibration"), tally);
-    }
-    if let Some(factor) = report.inflation {
-        println!("half-widths of all intervals × {factor:.2} would hold 95 % of the truths; none is applied");
-    }
-    println!("what held → what was said");
-    for (held, answers) in &report.confusion {
-        for (answer, count) in answers {
-            println!("  {held:44} {count:4}  {answer}");
-        }
-    }
-    for (twin, reason) in &report.failed {
-        println!("  {twin} could not be computed: {}", reason.lines().next().unwrap_or_default());
-    }
-}
-
-fn lines(name: &str, tally: &Tally) {
+fn lines(name: &str, tally: &Tally) -> Result<()> {
     let share = |s: &Share| {
         let percent = |v: f64| 100.0 * v;
         let [low, high] = s.ci95.map(percent);
@@ -112,33 +106,33 @@ fn lines(name: &str, tally: &Tally) {
             format!("median {:.3}, 90 % below {:.3} ({})", factor * s.median, factor * s.q90, s.of)
         })
     };
-    println!("{name}");
-    println!("  right class          {}", share(&tally.right_class));
-    println!("  confident wrong      {}", share(&tally.wrong));
+    data!("{name}")?;
+    data!("  right class          {}", share(&tally.right_class))?;
+    data!("  confident wrong      {}", share(&tally.wrong))?;
     if tally.null_alarms.of > 0 {
-        println!("  null alarms          {}", share(&tally.null_alarms));
+        data!("  null alarms          {}", share(&tally.null_alarms))?;
     }
     if let Some(incoherent) = &tally.incoherent {
-        println!("  rest incoherent      {}", share(incoherent));
+        data!("  rest incoherent      {}", share(incoherent))?;
     }
     if tally.outside_right.of > 0 {
-        println!("  outside, right       {}", share(&tally.outside_right));
+        data!("  outside, right       {}", share(&tally.outside_right))?;
     }
-    println!("  interval holds truth {}", share(&tally.coverage));
-    println!("  alarm                {}", share(&tally.alarms));
-    println!("  unknown              {}", share(&tally.unknown));
-    println!("  right name           {}", share(&tally.right));
-    println!("  best single effect   {}", share(&tally.top_1));
-    println!("  among the best three {}", share(&tally.top_3));
-    println!("  parameter error      {}", spread(&tally.parameter_error, 1.0));
-    println!("  corrected / floor    {}", spread(&tally.corrected_over_floor, 1.0));
+    data!("  interval holds truth {}", share(&tally.coverage))?;
+    data!("  alarm                {}", share(&tally.alarms))?;
+    data!("  unknown              {}", share(&tally.unknown))?;
+    data!("  right name           {}", share(&tally.right))?;
+    data!("  best single effect   {}", share(&tally.top_1))?;
+    data!("  among the best three {}", share(&tally.top_3))?;
+    data!("  parameter error      {}", spread(&tally.parameter_error, 1.0))?;
+    data!("  corrected / floor    {}", spread(&tally.corrected_over_floor, 1.0))?;
     let nrmse = &tally.nrmse_percent;
     let percent = |v: Option<f64>| v.map_or("–".into(), |v| format!("{v:.1} %"));
-    println!(
+    data!(
         "  held-out NRMSE       declared {}, recalibrated {}, corrected {}, floor {}",
         percent(nrmse.declared),
         percent(nrmse.recalibrated),
         percent(nrmse.corrected),
         percent(nrmse.floor)
-    );
+    )
 }

@@ -1,11 +1,11 @@
-//! A manifest, its pipeline and its run directory, ready for any command.
+//! A manifest, its pipeline, its project and its run folder, ready for any command.
 
 use super::SiteArguments;
 use crate::error::{Error, Result};
 use crate::manifest::Manifest;
 use crate::pipeline::{Graph, Recipe, Site};
 use crate::registry;
-use crate::stages::STAGES;
+use crate::stages::{PIPELINES, STAGES};
 use std::path::{Path, PathBuf};
 
 /// What commands on a site work with.
@@ -16,6 +16,8 @@ pub struct Workspace {
     pub table: toml::Table,
     /// The unfolded pipeline.
     pub graph: Graph,
+    /// Where the pipeline is from: a file, or that it is built in.
+    pub pipeline: String,
     manifest_dir: PathBuf,
     run_dir: PathBuf,
 }
@@ -28,11 +30,13 @@ impl Workspace {
     pub fn open(arguments: &SiteArguments) -> Result<Self> {
         let manifest = Manifest::load(&arguments.site, &arguments.set)?;
         let table = manifest.canonical()?;
-        let name = arguments.pipeline.as_deref().unwrap_or(&manifest.site.pipeline);
-        let recipe = Recipe::load(&find_pipeline(name, &arguments.site)?)?;
-        let graph = Graph::new(&recipe, STAGES, &table)?;
         let manifest_dir = arguments.site.parent().unwrap_or(Path::new(".")).to_path_buf();
-        Ok(Self { manifest, table, graph, manifest_dir, run_dir: arguments.run_dir.clone() })
+        let root = project_root(&manifest_dir);
+        let name = arguments.pipeline.as_deref().unwrap_or(&manifest.site.pipeline);
+        let recipe = find_pipeline(name, &manifest_dir, &root)?;
+        let graph = Graph::new(&recipe, STAGES, &table)?;
+        let run_dir = arguments.run_dir.clone().unwrap_or_else(|| root.join("runs"));
+        Ok(Self { manifest, table, graph, pipeline: recipe.source, manifest_dir, run_dir })
     }
 
     /// The site as the pipeline knows it.
@@ -46,26 +50,78 @@ impl Workspace {
     }
 }
 
-/// A pipeline by path, or by name in `pipelines/` beside the manifest's folder or in the working directory.
-fn find_pipeline(name: &str, manifest: &Path) -> Result<PathBuf> {
-    if name.ends_with(".toml") {
-        return Ok(PathBuf::from(name));
+/// The folder of the project that `dir` is in, as a path from the working directory where it is below that: the nearest one up that holds
+/// `pipelines` or results; `dir` itself where there is none.
+pub fn project_root(dir: &Path) -> PathBuf {
+    let Ok(here) = std::env::current_dir() else { return dir.to_path_buf() };
+    let absolute = here.join(dir);
+    let absolute = absolute.canonicalize().unwrap_or(absolute);
+    let is_root = |dir: &&Path| dir.join("pipelines").is_dir() || dir.join("runs").join("cache").is_dir();
+    let root = absolute.ancestors().find(is_root).unwrap_or(&absolute);
+    let here = here.canonicalize().unwrap_or(here);
+    root.strip_prefix(&here).unwrap_or(root).to_path_buf()
+}
+
+/// A pipeline by path, or by name: a file beside the manifest, one in `pipelines` of the project, or one that is built in.
+fn find_pipeline(name: &str, manifest_dir: &Path, root: &Path) -> Result<Recipe> {
+    let file = format!("{name}.toml");
+    let is_path = name.ends_with(".toml") || Path::new(name).components().count() > 1;
+    let files = if is_path {
+        vec![PathBuf::from(name), PathBuf::from(&file)]
+    } else {
+        vec![manifest_dir.join(&file), root.join("pipelines").join(&file)]
+    };
+    // A site manifest may have the name of a pipeline.
+    let is_pipeline = |path: &&PathBuf| path.is_file() && (is_path || Recipe::load(path).is_ok());
+    if let Some(path) = files.iter().find(is_pipeline) {
+        return Recipe::load(path);
     }
-    let file = format!("pipelines/{name}.toml");
-    let beside = manifest.parent().unwrap_or(Path::new(".")).join("..").join(&file);
-    let candidates = [PathBuf::from(&file), beside];
-    if let Some(found) = candidates.iter().find(|p| p.is_file()) {
-        return Ok(found.clone());
+    if is_path {
+        return Err(Error::new(format!("there is no pipeline file `{name}`")).usage());
     }
-    let mut names: Vec<String> = Vec::new();
-    for folder in candidates.iter().filter_map(|c| c.parent()) {
-        names.extend(std::fs::read_dir(folder).into_iter().flatten().filter_map(|entry| {
-            let path = entry.ok()?.path();
-            Some(path.file_stem()?.to_str()?.to_string())
-        }));
+    if let Some(entry) = PIPELINES.iter().find(|p| p.name == name) {
+        return Recipe::parse(entry.text, &format!("{name} (built in)"));
     }
+    let own = std::fs::read_dir(root.join("pipelines")).into_iter().flatten();
+    let mut names: Vec<String> = own.filter_map(|e| Some(e.ok()?.path().file_stem()?.to_str()?.to_string())).collect();
+    names.extend(PIPELINES.iter().map(|p| p.name.to_string()));
     names.sort();
     names.dedup();
     let names: Vec<&str> = names.iter().map(String::as_str).collect();
     Err(Error::new(format!("there is no pipeline `{name}`")).hint(registry::known(&names, name)).usage())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_project_begins_where_pipelines_or_results_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let top = folder.path().canonicalize().unwrap();
+        let sites = top.join("sites/one");
+        std::fs::create_dir_all(&sites).unwrap();
+        assert_eq!(project_root(&sites), sites);
+        std::fs::create_dir_all(top.join("runs/cache")).unwrap();
+        assert_eq!(project_root(&sites), top);
+        std::fs::create_dir_all(top.join("sites/pipelines")).unwrap();
+        assert_eq!(project_root(&sites), top.join("sites"));
+    }
+
+    #[test]
+    fn a_file_stands_in_for_the_pipeline_of_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = folder.path();
+        let found = |name: &str| find_pipeline(name, root, root);
+        assert_eq!(found("diagnose").unwrap().source, "diagnose (built in)");
+        std::fs::write(root.join("diagnose.toml"), "name = 'a site called so'").unwrap();
+        assert_eq!(found("diagnose").unwrap().source, "diagnose (built in)");
+        std::fs::create_dir(root.join("pipelines")).unwrap();
+        std::fs::write(root.join("pipelines/diagnose.toml"), "about = 'own'").unwrap();
+        assert_eq!(found("diagnose").unwrap().about, "own");
+        let message = found("diagnos").unwrap_err().to_string();
+        assert!(message.contains("nearest: `diagnose`") && message.contains("`flare-t`"), "{message}");
+        let message = found("nowhere/own").unwrap_err().to_string();
+        assert!(message.contains("no pipeline file `nowhere/own`"), "{message}");
+    }
 }

@@ -71,6 +71,19 @@ impl Parameter {
         }
     }
 
+    /// Its prior in words: normal about nothing, or about the middle of the range, in the coordinate in which it is estimated.
+    pub fn prior(&self) -> String {
+        let of = match self.scale {
+            Scale::Linear => "",
+            Scale::Log => "ln of it ",
+            Scale::Inverse => "1 over it ",
+        };
+        match self.zero {
+            Some(zero) => format!("{of}normal about {}, sd {}", self.coordinate(zero), self.prior_sd),
+            None => format!("{of}shapes the effect, typical size {}", self.prior_sd),
+        }
+    }
+
     /// The value at `coordinate`.
     pub fn value(&self, coordinate: f64) -> f64 {
         match self.scale {

@@ -1,0 +1,178 @@
+//! `flare-pipe init`: the first manifest of a site, from a profile and a folder of records.
+
+use super::output::{data, say, write_json};
+use crate::error::{Context, Error, Result};
+use crate::manifest::{Draft, DraftRecords, profile_table};
+use crate::records::{csv, kiknet};
+use crate::units::AccelerationUnit;
+use clap::Args;
+use serde_json::json;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// Name, profile and records.
+#[derive(Debug, Args)]
+pub struct InitArguments {
+    /// Name of the site: lower-case letters, digits and hyphens
+    name: String,
+    /// Table of the layers: `thickness_m` (or `depth_m` of their tops), `vs_m_s`, `density_kg_m3`, …, or text of PySeismoSoil
+    #[arg(long, value_name = "FILE")]
+    profile: PathBuf,
+    /// Folder of records: `EVENT.COMPONENT.csv`, or raw KiK-net files
+    #[arg(long, value_name = "DIR")]
+    records: Option<PathBuf>,
+    /// Unit of CSV records that do not say it: g, gal or m/s2
+    #[arg(long, value_name = "UNIT")]
+    unit: Option<String>,
+    /// Depth of a sensor in m, for example --sensor borehole=115 (repeatable); the deepest is the input
+    #[arg(long = "sensor", value_name = "NAME=DEPTH")]
+    sensors: Vec<String>,
+    /// Depth of the water table, m [default: dry]
+    #[arg(long, value_name = "DEPTH")]
+    water_table_m: Option<f64>,
+    /// Where the manifest goes [default: NAME.toml]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+/// Writes the manifest, and says what to do next.
+///
+/// # Errors
+/// When profile or records cannot be read, the depths of sensors are not known, or the manifest is there already.
+pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
+    let path = arguments.output.clone().unwrap_or_else(|| PathBuf::from(format!("{}.toml", arguments.name)));
+    if path.exists() {
+        let hint = "take another name, another `--output`, or remove the file";
+        return Err(Error::new(format!("`{}` is there already", path.display())).hint(hint).usage());
+    }
+    let unit = arguments.unit.as_deref().map(unit_named).transpose()?;
+    let mut depths = arguments.sensors.iter().map(|text| depth(text)).collect::<Result<Vec<_>>>()?;
+    let folder = arguments.records.as_deref().map(scan).transpose()?;
+    if let Some(folder) = &folder {
+        depths = folder.sensors(depths)?;
+    }
+    let base_m = depths.iter().map(|s| s.1).fold(None, |deepest: Option<f64>, d| Some(deepest.map_or(d, |m| m.max(d))));
+    let place = |e: Error| e.at(format!("`{}`", arguments.profile.display())).usage();
+    let text = std::fs::read_to_string(&arguments.profile)
+        .context(|| format!("cannot read the profile `{}`", arguments.profile.display()))
+        .map_err(Error::usage)?;
+    let layers = profile_table(&text, base_m).map_err(place)?;
+    if depths.is_empty() {
+        let depth_m = layers.iter().map(|l| l.thickness_m).sum();
+        depths = vec![("base".into(), depth_m), ("surface".into(), 0.0)];
+    }
+    if let Some(folder) = folder.as_ref().filter(|folder| folder.format == "csv" && !folder.says_unit && unit.is_none())
+    {
+        let hint = "add `--unit g`, `--unit gal` or `--unit m/s2`";
+        let what = format!("the records in `{}` do not say their unit", folder.dir.display());
+        return Err(Error::new(what).hint(hint).usage());
+    }
+    let records = folder.map(|folder| DraftRecords {
+        format: folder.format.into(),
+        dir: relative(&folder.dir, path.parent().unwrap_or(Path::new(""))),
+        unit: unit.filter(|_| folder.format == "csv"),
+        components: folder.components.into_iter().collect(),
+        events: folder.events.into_iter().collect(),
+    });
+    let draft = Draft {
+        name: arguments.name.clone(),
+        layers,
+        water_table_m: arguments.water_table_m,
+        sensors: depths,
+        records,
+    };
+    crate::atomic::write(&path, |out| std::io::Write::write_all(out, draft.text().as_bytes()))?;
+    say!(
+        "look at the lines of it with a question mark, then: flare-pipe check {0} && flare-pipe run {0}",
+        path.display()
+    );
+    if as_json { write_json(&json!({ "manifest": path })) } else { data!("{}", path.display()) }
+}
+
+fn unit_named(name: &str) -> Result<AccelerationUnit> {
+    let unknown =
+        || Error::new(format!("the unit `{name}` is not known")).hint("it must be `g`, `gal` or `m/s2`").usage();
+    AccelerationUnit::named(name).ok_or_else(unknown)
+}
+
+fn depth(text: &str) -> Result<(String, f64)> {
+    let read = |(name, depth): (&str, &str)| {
+        let depth_m = depth.trim().parse().ok().filter(|d: &f64| d.is_finite() && *d >= 0.0)?;
+        Some((name.trim().to_string(), depth_m))
+    };
+    let wrong = || {
+        Error::new(format!("`--sensor {text}` is no sensor")).hint("write `--sensor surface=0`, depths in m").usage()
+    };
+    text.split_once('=').and_then(read).ok_or_else(wrong)
+}
+
+/// What a folder of records holds.
+struct Folder {
+    dir: PathBuf,
+    format: &'static str,
+    events: BTreeSet<String>,
+    components: BTreeSet<String>,
+    says_unit: bool,
+    /// Names of the sensors, with depths in m where the files say them.
+    channels: Vec<(String, Option<f64>)>,
+}
+
+fn scan(dir: &Path) -> Result<Folder> {
+    let entries =
+        std::fs::read_dir(dir).context(|| format!("cannot read `{}`", dir.display())).map_err(Error::usage)?;
+    let mut files: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.is_file()).collect();
+    files.sort();
+    let csv_name = |path: &PathBuf| {
+        let (event, component) = path.file_name()?.to_str()?.strip_suffix(".csv")?.rsplit_once('.')?;
+        Some((event.to_string(), component.to_string()))
+    };
+    let kiknet_name = |path: &PathBuf| {
+        let (event, channel) = path.file_name()?.to_str()?.rsplit_once('.')?;
+        let component = channel.strip_suffix(['1', '2'])?;
+        ["NS", "EW"].contains(&component).then(|| (event.to_string(), component.to_string()))
+    };
+    let names = |of: &dyn Fn(&PathBuf) -> Option<(String, String)>| files.iter().filter_map(of).unzip();
+    let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&csv_name);
+    if let Some(first) = files.iter().find(|p| csv_name(p).is_some()) {
+        let channels = csv::channel_names(first)?.into_iter().map(|name| (name, None)).collect();
+        let says_unit = csv::unit_in(first)?.is_some();
+        return Ok(Folder { dir: dir.into(), format: "csv", events, components, says_unit, channels });
+    }
+    let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&kiknet_name);
+    if let Some(first) = files.iter().find(|p| kiknet_name(p).is_some()) {
+        let depth_m = kiknet::borehole_depth_m(first);
+        let channels = vec![("borehole".to_string(), depth_m), ("surface".to_string(), Some(0.0))];
+        return Ok(Folder { dir: dir.into(), format: "kiknet", events, components, says_unit: true, channels });
+    }
+    let hint = "records are `EVENT.COMPONENT.csv`, for example `2019-03-11.EW.csv`, or raw KiK-net files";
+    Err(Error::new(format!("there are no records in `{}`", dir.display())).hint(hint).usage())
+}
+
+impl Folder {
+    /// The sensors with the depths that were given or that the files say.
+    fn sensors(&self, given: Vec<(String, f64)>) -> Result<Vec<(String, f64)>> {
+        let names: Vec<&str> = self.channels.iter().map(|c| c.0.as_str()).collect();
+        if let Some((name, _)) = given.iter().find(|(name, _)| !names.contains(&name.as_str())) {
+            let hint = crate::registry::known(&names, name);
+            return Err(Error::new(format!("the records have no sensor `{name}`")).hint(hint).usage());
+        }
+        let depth_m = |name: &str| given.iter().find(|(n, _)| n == name).map(|(_, depth_m)| *depth_m);
+        let all = self.channels.iter().map(|(name, own)| (name, depth_m(name).or(*own)));
+        let (known, open): (Vec<_>, Vec<_>) = all.partition(|(_, depth_m)| depth_m.is_some());
+        if open.is_empty() {
+            return Ok(known.into_iter().filter_map(|(name, depth_m)| Some((name.clone(), depth_m?))).collect());
+        }
+        let open: Vec<String> = open.into_iter().map(|(name, _)| format!("--sensor {name}=…")).collect();
+        let hint = format!("add {}, depths in m, 0 at the surface; the deepest is the input", open.join(" "));
+        Err(Error::new("the records do not say how deep their sensors are").hint(hint).usage())
+    }
+}
+
+/// `dir` as a manifest in `from` names it: below that where it is, otherwise absolute.
+fn relative(dir: &Path, from: &Path) -> String {
+    let absolute = |path: &Path| std::env::current_dir().map(|here| here.join(path)).and_then(|p| p.canonicalize());
+    match (absolute(dir), absolute(from)) {
+        (Ok(dir), Ok(from)) => dir.strip_prefix(&from).unwrap_or(&dir).display().to_string(),
+        _ => dir.display().to_string(),
+    }
+}

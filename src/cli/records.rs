@@ -1,0 +1,136 @@
+//! `flare-pipe records`: what is in the record files of a site.
+
+use super::SiteArguments;
+use super::output::{data, write_json};
+use super::workspace::Workspace;
+use crate::diagnosis::signal_band_hz;
+use crate::error::{Error, Result};
+use crate::manifest::Manifest;
+use crate::records::{self, Asked, Found, Record, Split};
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// One component of one event.
+#[derive(Debug, Serialize)]
+pub struct Row {
+    event: String,
+    component: String,
+    split: Split,
+    #[serde(flatten)]
+    content: Option<Content>,
+    /// What is odd, or missing.
+    pub remarks: Vec<String>,
+}
+
+impl Row {
+    /// Its remarks as sentences that stand alone.
+    pub fn sentences(&self) -> impl Iterator<Item = String> {
+        self.remarks.iter().map(|remark| format!("{}, {}: {remark}", self.event, self.component))
+    }
+}
+
+/// What its files hold.
+#[derive(Debug, Serialize)]
+struct Content {
+    step_s: f64,
+    duration_s: f64,
+    /// Largest acceleration by sensor.
+    peak_m_s2: BTreeMap<String, f64>,
+    /// Where every sensor has three times its noise.
+    band_hz: Option<[f64; 2]>,
+}
+
+/// Prints event, component, split, step, duration, peaks, band with signal and remarks of every record.
+///
+/// # Errors
+/// Everything that is wrong with the files at once.
+pub fn records(arguments: &SiteArguments, json: bool) -> Result<()> {
+    let workspace = Workspace::open(arguments)?;
+    let rows = inventory(&workspace.manifest)?;
+    if json { write_json(&rows) } else { print(&workspace.manifest, &rows) }
+}
+
+/// All records of a manifest in files; none where they are computed.
+///
+/// # Errors
+/// Everything that is wrong with the files at once.
+pub fn inventory(manifest: &Manifest) -> Result<Vec<Row>> {
+    let (Some(settings), Some(dir)) = (&manifest.site.records, &manifest.records_dir) else { return Ok(Vec::new()) };
+    let sensors = &manifest.site.sensors;
+    if settings.format == "twin" {
+        return Ok(Vec::new());
+    }
+    let (mut rows, mut wrong, mut unsound) = (Vec::new(), Vec::new(), BTreeSet::new());
+    for Asked { event, component, split, found } in
+        records::survey(settings, dir, &sensors.input, &sensors.names()).map_err(Error::usage)?
+    {
+        let (content, remarks) = match found {
+            Found::Record(record) => (Some(content(&record, settings)), records::remarks(&record)),
+            Found::Missing(file) => (None, vec![format!("not there: `{}`", file.display())]),
+            Found::Unsound(error) => {
+                unsound.insert(event);
+                wrong.push(error.usage());
+                continue;
+            }
+        };
+        rows.push(Row { event, component, split, content, remarks });
+    }
+    for (event, _) in settings.events() {
+        let is_there = rows.iter().any(|row| row.event == event && row.content.is_some());
+        if !is_there && !unsound.contains(event) {
+            let hint = "check `records.dir`, or take the event out of the split";
+            let what = format!("event `{event}` has no record in `{}`", dir.display());
+            wrong.push(Error::new(what).hint(hint).usage());
+        }
+    }
+    Error::all(wrong).map(|()| rows)
+}
+
+fn content(record: &Record, settings: &records::RecordSettings) -> Content {
+    let peak = |x: &[f64]| x.iter().fold(0.0f64, |peak, v| peak.max(v.abs()));
+    let bands: Option<Vec<[f64; 2]>> = signal_band_hz(record, settings.noise).into_iter().collect();
+    let common = |all: Vec<[f64; 2]>| all.into_iter().reduce(|a, b| [a[0].max(b[0]), a[1].min(b[1])]);
+    Content {
+        step_s: record.dt_s,
+        duration_s: record.duration_s(),
+        peak_m_s2: record.sensors().map(|s| (s.name.clone(), peak(&s.acceleration_m_s2))).collect(),
+        band_hz: bands.and_then(common).filter(|[low, high]| low < high),
+    }
+}
+
+fn print(manifest: &Manifest, rows: &[Row]) -> Result<()> {
+    let sensors: Vec<&str> = std::iter::once(manifest.site.sensors.input.as_str())
+        .chain(manifest.site.sensors.output.iter().map(|s| s.name.as_str()))
+        .collect();
+    if rows.is_empty() {
+        return data!("no record files: records are computed, or the manifest has none");
+    }
+    let width = rows.iter().map(|row| row.event.chars().count()).max().unwrap_or(0).max(5);
+    let peaks: Vec<String> = sensors.iter().map(|name| format!("{name:>9}")).collect();
+    data!(
+        "{:width$}  {:4}  {:10}  {:>7}  {:>8}  {}  {:>12}  remarks",
+        "event",
+        "comp",
+        "split",
+        "step s",
+        "length s",
+        peaks.join("  "),
+        "band Hz"
+    )?;
+    for Row { event, component, split, content, remarks } in rows {
+        let split = format!("{split:?}").to_lowercase();
+        let remarks = remarks.join("; ");
+        let Some(Content { step_s, duration_s, peak_m_s2, band_hz }) = content else {
+            data!("{event:width$}  {component:4}  {split:10}  {remarks}")?;
+            continue;
+        };
+        let peaks: Vec<String> =
+            sensors.iter().map(|name| format!("{:>w$.3}", peak_m_s2[*name], w = name.chars().count().max(9))).collect();
+        let band = band_hz.map_or("–".to_string(), |[low, high]| format!("{low:.1}–{high:.1}"));
+        data!(
+            "{event:width$}  {component:4}  {split:10}  {step_s:>7}  {duration_s:>8.1}  {}  {band:>12}  {remarks}",
+            peaks.join("  ")
+        )?;
+    }
+    data!("peaks in m/s²; the band is where every sensor has three times the noise recorded before the event")
+}
