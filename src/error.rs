@@ -18,12 +18,21 @@ pub struct Error {
     hint: Option<String>,
     is_usage: bool,
     rendered: Option<String>,
+    is_told: bool,
 }
 
 impl Error {
     /// An error that says `what` is wrong, value and admissible range included.
     pub fn new(what: impl Into<String>) -> Self {
-        Self { what: what.into(), at: Vec::new(), cause: None, hint: None, is_usage: false, rendered: None }
+        Self {
+            what: what.into(),
+            at: Vec::new(),
+            cause: None,
+            hint: None,
+            is_usage: false,
+            rendered: None,
+            is_told: false,
+        }
     }
 
     /// Adds a place around those already named: "layer 3 of `configs/site.toml`".
@@ -76,12 +85,25 @@ impl Error {
             if errors[..i].iter().any(|known| is_one(known, error)) {
                 continue;
             }
-            let more = errors[i + 1..].iter().filter(|other| is_one(error, other)).count();
-            let places = if more > 0 { format!("\n\nand the same in {more} more") } else { String::new() };
+            let others = errors[i + 1..].iter().filter(|other| is_one(error, other));
+            let places: Vec<&str> = others.filter_map(|other| other.at.first().map(String::as_str)).collect();
+            let places = if places.is_empty() { String::new() } else { format!("\n\nand in {}", places.join(", ")) };
             texts.push(format!("{error}{places}"));
         }
         let all = Self::new(summary.clone()).rendered(format!("{}\n\n{summary}", texts.join("\n\nerror: ")));
         Err(Self { is_usage: errors.iter().all(|e| e.is_usage), ..all })
+    }
+
+    /// The same, known to whoever asked: nothing is said of it again.
+    #[must_use]
+    pub fn told(mut self) -> Self {
+        self.is_told = true;
+        self
+    }
+
+    /// Whether it was said already.
+    pub fn is_told(&self) -> bool {
+        self.is_told
     }
 
     /// What is wrong, without place, cause and hint.
@@ -161,7 +183,7 @@ mod tests {
         assert_eq!(Error::all(vec![Error::new("one")]).unwrap_err().to_string(), "one");
         let alike = |place: &str| Error::new("no unit").at(place);
         let three = Error::all(vec![alike("a"), Error::new("else"), alike("b")]).unwrap_err().to_string();
-        assert_eq!(three, "no unit\n  in a\n\nand the same in 1 more\n\nerror: else\n\n3 problems");
+        assert_eq!(three, "no unit\n  in a\n\nand in b\n\nerror: else\n\n3 problems");
         let two = Error::all(vec![Error::new("one").hint("do"), Error::new("two").usage()]).unwrap_err();
         assert_eq!(two.to_string(), "one\n\nhint: do\n\nerror: two\n\n2 problems");
         assert_eq!(two.exit_status(), 1);

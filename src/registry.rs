@@ -62,6 +62,9 @@ pub fn find<'a, E: Named>(what: &str, entries: &'a [E], name: &str) -> Result<&'
 
 /// "known: `a`, `b` (nearest: `a`)" for hints.
 pub fn known(names: &[&str], typed: &str) -> String {
+    if names.is_empty() {
+        return "there is nothing to say here".into();
+    }
     let list = names.iter().map(|n| format!("`{n}`")).collect::<Vec<_>>().join(", ");
     match nearest(names, typed) {
         Some(name) => format!("known: {list} (nearest: `{name}`)"),

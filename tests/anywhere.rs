@@ -109,7 +109,7 @@ fn every_fault_of_every_record_is_told_before_anything_runs() {
     fs::remove_file(path("2021-07-30")).expect("removed");
     let (status, _, stderr) = said(here, &["check", "mine.toml"]);
     assert_eq!(status, 2);
-    for part in ["2019-03-11.EW.csv", "no column `G10`", "event `2021-07-30` has no record", "3 problems"] {
+    for part in ["2019-03-11.EW.csv", "no column `G10`", "`2021-07-30.EW.csv` is in", "3 problems"] {
         assert!(stderr.contains(part), "`{part}` in\n{stderr}");
     }
     change("2020-01-05", "# unit: g\n", "");

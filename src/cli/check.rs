@@ -36,7 +36,8 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
         let element_m = l.thickness_m / count as f64;
         Layer { thickness_m: l.thickness_m, element_m, highest_hz: l.vs_m_s / (ELEMENTS * element_m) }
     };
-    let layers: Vec<Layer> = profile.layers.iter().zip(profile.elements_per_layer()).map(layer).collect();
+    let declared = site.column().declared_profile()?;
+    let layers: Vec<Layer> = declared.layers.iter().zip(declared.elements_per_layer()).map(layer).collect();
     let n_event = site.records.as_ref().map_or(0, |r| r.events().count());
     if json {
         let layer =

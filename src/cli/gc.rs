@@ -6,6 +6,7 @@ use super::reporter::clock;
 use super::workspace::{Workspace, project_root};
 use crate::error::{Context, Error, Result};
 use crate::pipeline::{self, Address, Unused};
+use crate::stages::STAGES;
 use clap::Args;
 use serde_json::json;
 use std::io::{BufRead, IsTerminal, Write};
@@ -26,16 +27,21 @@ pub struct GcArguments {
 }
 
 /// Folders below that of a project in which manifests are looked for.
-const DEPTH: usize = 3;
+const DEPTH: usize = 6;
 
 /// Lists cache entries that neither a manifest of the project nor what was run last refers to, asks, and removes them.
 ///
 /// # Errors
 /// When the run directory cannot be read or written, a run is at work in it, or nobody can be asked.
 pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
-    let root = project_root(Path::new(""));
-    let run_dir = arguments.run_dir.clone().unwrap_or_else(|| root.join("runs"));
-    let unused = pipeline::unused(&run_dir, &needed(&root, &run_dir))?;
+    let run_dir = arguments.run_dir.clone().unwrap_or_else(|| project_root(Path::new("")).join("runs"));
+    let Needed { entries: needed, is_unfinished } = needed(run_dir.parent().unwrap_or(Path::new("")), &run_dir)?;
+    let mut unused = pipeline::unused(&run_dir, &needed)?;
+    if is_unfinished {
+        // What an ensemble has done so far is in no list before it is whole.
+        let is_stage = |entry: &Address| STAGES.iter().any(|s| entry.folder.starts_with(&format!("{}-v", s.kind())));
+        unused.retain(|unused| is_stage(&unused.entry));
+    }
     let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 / 1e6);
     let total = megabytes(unused.iter().map(|r| r.bytes).sum());
     if !as_json {
@@ -47,7 +53,7 @@ pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
     let is_asked = !arguments.dry_run && !arguments.yes && !unused.is_empty();
     let is_removed = !arguments.dry_run && (!is_asked || confirmed(unused.len(), &total)?);
     if is_removed {
-        pipeline::remove(&run_dir, &unused)?;
+        pipeline::remove(&run_dir, &needed, &unused)?;
     }
     if as_json {
         return write_json(&json!({ "is_removed": is_removed, "entries": unused }));
@@ -77,17 +83,32 @@ fn confirmed(count: usize, total: &str) -> Result<bool> {
     Ok(["y", "yes"].contains(&answer.trim().to_lowercase().as_str()))
 }
 
-/// Entries that manifests of the project lead to as they are.
-fn needed(root: &Path, run_dir: &Path) -> Vec<Address> {
-    let mut found = Vec::new();
+/// What manifests of the project lead to.
+struct Needed {
+    entries: Vec<Address>,
+    /// Whether some of that was begun and is not there yet.
+    is_unfinished: bool,
+}
+
+/// What manifests of the project lead to as they are. A site of which nothing was ever run leads nowhere.
+///
+/// # Errors
+/// When that is not known of a site that was run.
+fn needed(root: &Path, run_dir: &Path) -> Result<Needed> {
+    let mut needed = Needed { entries: Vec::new(), is_unfinished: false };
     for site in manifests(root, DEPTH) {
+        let place = site.display().to_string();
         let arguments = SiteArguments { site, pipeline: None, set: Vec::new(), run_dir: Some(run_dir.to_path_buf()) };
         // What is no manifest, or none that is right, leads nowhere.
         let Ok(workspace) = Workspace::open(&arguments) else { continue };
-        let stages = pipeline::status(&workspace.site(), &workspace.graph).unwrap_or_default();
-        found.extend(stages.into_iter().filter_map(|stage| stage.entry));
+        if !workspace.site().dir().is_dir() {
+            continue;
+        }
+        let stages = pipeline::status(&workspace.site(), &workspace.graph).map_err(|e| e.at(format!("`{place}`")))?;
+        needed.is_unfinished |= stages.iter().any(|stage| stage.state != "cached");
+        needed.entries.extend(stages.into_iter().filter_map(|stage| stage.entry));
     }
-    found
+    Ok(needed)
 }
 
 fn manifests(folder: &Path, depth: usize) -> Vec<PathBuf> {

@@ -2,7 +2,7 @@
 
 use super::output::{data, say, write_json};
 use crate::error::{Context, Error, Result};
-use crate::manifest::{Draft, DraftRecords, profile_table};
+use crate::manifest::{self, Draft, DraftRecords, profile_table};
 use crate::records::{csv, kiknet};
 use crate::units::AccelerationUnit;
 use clap::Args;
@@ -40,6 +40,10 @@ pub struct InitArguments {
 /// # Errors
 /// When profile or records cannot be read, the depths of sensors are not known, or the manifest is there already.
 pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
+    if !manifest::is_site_name(&arguments.name) {
+        let what = format!("a site is named by lower-case letters, digits and hyphens, got `{}`", arguments.name);
+        return Err(Error::new(what).hint("it names the manifest and the run folder: `lotung`, `fksh11-ns`").usage());
+    }
     let path = arguments.output.clone().unwrap_or_else(|| PathBuf::from(format!("{}.toml", arguments.name)));
     if path.exists() {
         let hint = "take another name, another `--output`, or remove the file";
@@ -51,12 +55,20 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     if let Some(folder) = &folder {
         depths = folder.sensors(depths)?;
     }
+    if !depths.is_empty() && depths.iter().all(|s| s.1 <= 0.0) {
+        let hint = "the deepest sensor is the input, at the base of the column: `--sensor borehole=115`";
+        return Err(Error::new("no sensor is below the surface").hint(hint).usage());
+    }
     let base_m = depths.iter().map(|s| s.1).fold(None, |deepest: Option<f64>, d| Some(deepest.map_or(d, |m| m.max(d))));
     let place = |e: Error| e.at(format!("`{}`", arguments.profile.display())).usage();
     let text = std::fs::read_to_string(&arguments.profile)
         .context(|| format!("cannot read the profile `{}`", arguments.profile.display()))
         .map_err(Error::usage)?;
     let layers = profile_table(&text, base_m).map_err(place)?;
+    if layers.is_empty() {
+        let hint = "a last line of no thickness, or the last of `depth_m`, is the half-space: add a layer above it";
+        return Err(place(Error::new("the profile has no layer").hint(hint)));
+    }
     if depths.is_empty() {
         let depth_m = layers.iter().map(|l| l.thickness_m).sum();
         depths = vec![("base".into(), depth_m), ("surface".into(), 0.0)];
@@ -66,6 +78,9 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         let hint = "add `--unit g`, `--unit gal` or `--unit m/s2`";
         let what = format!("the records in `{}` do not say their unit", folder.dir.display());
         return Err(Error::new(what).hint(hint).usage());
+    }
+    if let Some(folder) = folder.as_ref().filter(|folder| !folder.vertical.is_empty()) {
+        say!("left out, because it is vertical: {}", Vec::from_iter(folder.vertical.iter().cloned()).join(", "));
     }
     let records = folder.map(|folder| DraftRecords {
         format: folder.format.into(),
@@ -112,6 +127,8 @@ struct Folder {
     format: &'static str,
     events: BTreeSet<String>,
     components: BTreeSet<String>,
+    /// Components that are left out.
+    vertical: BTreeSet<String>,
     says_unit: bool,
     /// Names of the sensors, with depths in m where the files say them.
     channels: Vec<(String, Option<f64>)>,
@@ -133,19 +150,34 @@ fn scan(dir: &Path) -> Result<Folder> {
     };
     let names = |of: &dyn Fn(&PathBuf) -> Option<(String, String)>| files.iter().filter_map(of).unzip();
     let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&csv_name);
+    let (vertical, components): (BTreeSet<String>, _) = components.into_iter().partition(|c| is_vertical(c));
     if let Some(first) = files.iter().find(|p| csv_name(p).is_some()) {
         let channels = csv::channel_names(first)?.into_iter().map(|name| (name, None)).collect();
         let says_unit = csv::unit_in(first)?.is_some();
-        return Ok(Folder { dir: dir.into(), format: "csv", events, components, says_unit, channels });
+        return Ok(Folder { dir: dir.into(), format: "csv", events, components, vertical, says_unit, channels });
     }
     let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&kiknet_name);
     if let Some(first) = files.iter().find(|p| kiknet_name(p).is_some()) {
         let depth_m = kiknet::borehole_depth_m(first);
         let channels = vec![("borehole".to_string(), depth_m), ("surface".to_string(), Some(0.0))];
-        return Ok(Folder { dir: dir.into(), format: "kiknet", events, components, says_unit: true, channels });
+        return Ok(Folder {
+            dir: dir.into(),
+            format: "kiknet",
+            events,
+            components,
+            vertical: BTreeSet::new(),
+            says_unit: true,
+            channels,
+        });
     }
     let hint = "records are `EVENT.COMPONENT.csv`, for example `2019-03-11.EW.csv`, or raw KiK-net files";
     Err(Error::new(format!("there are no records in `{}`", dir.display())).hint(hint).usage())
+}
+
+/// Whether a component is vertical by the names in use: `UD`, `Z`, `UP`, `HNZ`, …
+fn is_vertical(component: &str) -> bool {
+    let name = component.to_uppercase();
+    ["UD", "U", "UP", "V", "VER", "VERT", "VERTICAL", "DWN"].contains(&name.as_str()) || name.ends_with('Z')
 }
 
 impl Folder {
@@ -172,6 +204,7 @@ impl Folder {
 fn relative(dir: &Path, from: &Path) -> String {
     let absolute = |path: &Path| std::env::current_dir().map(|here| here.join(path)).and_then(|p| p.canonicalize());
     match (absolute(dir), absolute(from)) {
+        (Ok(dir), Ok(from)) if dir == from => ".".into(),
         (Ok(dir), Ok(from)) => dir.strip_prefix(&from).unwrap_or(&dir).display().to_string(),
         _ => dir.display().to_string(),
     }

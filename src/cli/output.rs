@@ -45,6 +45,9 @@ pub(super) fn say_line(text: fmt::Arguments<'_>) {
 
 /// Says what went wrong: to people, or on stdout as JSON.
 pub fn tell(error: &Error, json: bool) {
+    if error.is_told() {
+        return;
+    }
     let is_written = json && write_json(&json!({ "error": error })).is_ok();
     if !is_written {
         say!("error: {error}");

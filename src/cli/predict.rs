@@ -7,8 +7,9 @@ use crate::dataset::{Header, Sample, TrajectoryWriter};
 use crate::error::{Context, Error, Result};
 use crate::numerics::resample::{half_steps, resample_band_limited};
 use crate::pipeline;
-use crate::records;
+use crate::records::csv as csv_records;
 use crate::stages::predict::Predictor;
+use crate::units::AccelerationUnit;
 use clap::Args;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -47,8 +48,8 @@ pub fn predict(arguments: &PredictArguments, json: bool) -> Result<()> {
     let unit = sections.records.as_ref().and_then(|r| r.unit);
     let names = sections.sensors.names();
     let outputs: Vec<&str> = names.iter().map(String::as_str).collect();
-    let base = records::csv::read(&arguments.input, &[&sections.sensors.input], unit).map_err(Error::usage)?;
-    let window = records::csv::read(&arguments.window, &outputs, unit).map_err(Error::usage)?;
+    let base = read(&arguments.input, &[&sections.sensors.input], unit)?;
+    let window = read(&arguments.window, &outputs, unit)?;
     let step_s = model.step_s();
     let coarse: Vec<Vec<f64>> = window.channels.iter().map(|c| resample_band_limited(c, window.dt_s, step_s)).collect();
     let base_m_s2 = resample_band_limited(&base.channels[0], base.dt_s, step_s);
@@ -65,6 +66,12 @@ pub fn predict(arguments: &PredictArguments, json: bool) -> Result<()> {
         _ => return Err(Error::new(format!("`{}` must end in `.csv` or `.mcap`", arguments.output.display())).usage()),
     }
     if json { write_json(&json!({ "output": arguments.output, "sensors": names, "step_s": step_s })) } else { Ok(()) }
+}
+
+/// Columns of a file in the unit that it says, or in the `declared` one.
+fn read(path: &Path, names: &[&str], declared: Option<AccelerationUnit>) -> Result<csv_records::Table> {
+    let unit = csv_records::unit_in(path).map_err(Error::usage)?.or(declared);
+    csv_records::read(path, names, unit).map_err(Error::usage)
 }
 
 /// A predicted event.

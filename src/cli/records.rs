@@ -6,7 +6,7 @@ use super::workspace::Workspace;
 use crate::diagnosis::signal_band_hz;
 use crate::error::{Error, Result};
 use crate::manifest::Manifest;
-use crate::records::{self, Asked, Found, Record, Split};
+use crate::records::{self, Asked, Found, Missing, Record, Split};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -60,13 +60,17 @@ pub fn inventory(manifest: &Manifest) -> Result<Vec<Row>> {
     if settings.format == "twin" {
         return Ok(Vec::new());
     }
-    let (mut rows, mut wrong, mut unsound) = (Vec::new(), Vec::new(), BTreeSet::new());
+    let (mut rows, mut missing, mut wrong, mut unsound) = (Vec::new(), Vec::new(), Vec::new(), BTreeSet::new());
     for Asked { event, component, split, found } in
         records::survey(settings, dir, &sensors.input, &sensors.names()).map_err(Error::usage)?
     {
         let (content, remarks) = match found {
             Found::Record(record) => (Some(content(&record, settings)), records::remarks(&record)),
-            Found::Missing(file) => (None, vec![format!("not there: `{}`", file.display())]),
+            Found::Missing(file) => {
+                let remark = format!("not there: `{}`", file.display());
+                missing.push(Missing { event: event.clone(), component: component.clone(), file });
+                (None, vec![remark])
+            }
             Found::Unsound(error) => {
                 unsound.insert(event);
                 wrong.push(error.usage());
@@ -78,9 +82,7 @@ pub fn inventory(manifest: &Manifest) -> Result<Vec<Row>> {
     for (event, _) in settings.events() {
         let is_there = rows.iter().any(|row| row.event == event && row.content.is_some());
         if !is_there && !unsound.contains(event) {
-            let hint = "check `records.dir`, or take the event out of the split";
-            let what = format!("event `{event}` has no record in `{}`", dir.display());
-            wrong.push(Error::new(what).hint(hint).usage());
+            wrong.push(records::nothing_found(event, &missing, dir).usage());
         }
     }
     Error::all(wrong).map(|()| rows)
@@ -132,5 +134,5 @@ fn print(manifest: &Manifest, rows: &[Row]) -> Result<()> {
             peaks.join("  ")
         )?;
     }
-    data!("peaks in m/s²; the band is where every sensor has three times the noise recorded before the event")
+    data!("peaks in m/s²; the band is where every sensor has three times its noise, declared or before the event")
 }

@@ -153,7 +153,12 @@ impl Reporter for Terminal {
                 let n = decisions.len();
                 self.say(Verbosity::Normal, &format!("{n} stages, {n_cached} of them in the cache"));
             }
-            Event::Decided(decision) => self.say(Verbosity::Verbose, &plan_line(decision)),
+            Event::Decided(decision) => {
+                if decision.action == Action::Cached {
+                    self.one_done();
+                }
+                self.say(Verbosity::Verbose, &plan_line(decision));
+            }
             Event::Started { stage, last_s } => {
                 tracing::info!(stage, "started");
                 let about = last_s.map_or(String::new(), |s| format!(", about {}", clock(s)));

@@ -3,6 +3,7 @@
 use super::SiteArguments;
 use super::output::{data, say, write_json};
 use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
+use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
 use crate::error::{Context, Error, Result};
 use crate::pipeline::{self, Mode, Options, Summary, write_if_changed};
@@ -116,6 +117,7 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     let Executor::Local = arguments.executor;
     let workspace = Workspace::open(&arguments.site)?;
     let options = arguments.options()?;
+    goes_on_when_run_again();
     // Only the first call in a process sets the pool; results do not depend on its size.
     let _ = rayon::ThreadPoolBuilder::new().num_threads(options.jobs).build_global();
     let site = workspace.site();
@@ -140,6 +142,9 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
         return Ok(());
     }
     let first = summary.failures.remove(0);
+    if json {
+        return Err(first.error.told());
+    }
     for failure in &summary.failures {
         say!("error: {}\n", failure.error);
     }
@@ -164,8 +169,7 @@ pub fn plan(arguments: &RunArguments, json: bool) -> Result<()> {
 }
 
 fn print_json(summary: &Summary, answer: Option<&Answer>) -> Result<()> {
-    let failures: Vec<Value> =
-        summary.failures.iter().map(|f| json!({ "stage": f.stage, "error": f.error.to_string() })).collect();
+    let failures: Vec<Value> = summary.failures.iter().map(|f| json!({ "stage": f.stage, "error": f.error })).collect();
     let mut outcome = json!({
         "decisions": summary.decisions, "computed": summary.computed,
         "failures": failures, "skipped": summary.skipped,

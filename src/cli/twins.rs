@@ -3,6 +3,7 @@
 use super::SiteArguments;
 use super::output::{data, write_json};
 use super::reporter::{Terminal, Verbosity};
+use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
 use crate::error::{Error, Result};
 use crate::pipeline::{self, Graph, Mode, Options, Recipe, Site};
@@ -63,6 +64,7 @@ pub fn twins(arguments: &TwinsArguments, json: bool) -> Result<()> {
         options.jobs = jobs;
         let _ = rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global();
     }
+    goes_on_when_run_again();
     let verbosity = if arguments.quiet { Verbosity::Quiet } else { Verbosity::Normal };
     let summary = pipeline::run(&site, &graph, &options, Mode::Run, &Terminal::new(verbosity))?;
     if let Some(failure) = summary.failures.into_iter().next() {

@@ -32,8 +32,10 @@ impl Workspace {
         let table = manifest.canonical()?;
         let manifest_dir = arguments.site.parent().unwrap_or(Path::new(".")).to_path_buf();
         let root = project_root(&manifest_dir);
-        let name = arguments.pipeline.as_deref().unwrap_or(&manifest.site.pipeline);
-        let recipe = find_pipeline(name, &manifest_dir, &root)?;
+        let recipe = match &arguments.pipeline {
+            Some(name) => find_pipeline(name, Path::new(""), &manifest_dir, &root)?,
+            None => find_pipeline(&manifest.site.pipeline, &manifest_dir, &manifest_dir, &root)?,
+        };
         let graph = Graph::new(&recipe, STAGES, &table)?;
         let run_dir = arguments.run_dir.clone().unwrap_or_else(|| root.join("runs"));
         Ok(Self { manifest, table, graph, pipeline: recipe.source, manifest_dir, run_dir })
@@ -62,22 +64,22 @@ pub fn project_root(dir: &Path) -> PathBuf {
     root.strip_prefix(&here).unwrap_or(root).to_path_buf()
 }
 
-/// A pipeline by path, or by name: a file beside the manifest, one in `pipelines` of the project, or one that is built in.
-fn find_pipeline(name: &str, manifest_dir: &Path, root: &Path) -> Result<Recipe> {
+/// A pipeline by path `from` a folder, or by name: a file beside the manifest, one in `pipelines` of the project, or one that is built in.
+fn find_pipeline(name: &str, from: &Path, manifest_dir: &Path, root: &Path) -> Result<Recipe> {
     let file = format!("{name}.toml");
     let is_path = name.ends_with(".toml") || Path::new(name).components().count() > 1;
-    let files = if is_path {
-        vec![PathBuf::from(name), PathBuf::from(&file)]
-    } else {
-        vec![manifest_dir.join(&file), root.join("pipelines").join(&file)]
-    };
-    // A site manifest may have the name of a pipeline.
-    let is_pipeline = |path: &&PathBuf| path.is_file() && (is_path || Recipe::load(path).is_ok());
-    if let Some(path) = files.iter().find(is_pipeline) {
-        return Recipe::load(path);
-    }
     if is_path {
-        return Err(Error::new(format!("there is no pipeline file `{name}`")).usage());
+        let found = [from.join(name), from.join(&file)].into_iter().find(|path| path.is_file());
+        let missing = || Error::new(format!("there is no pipeline file `{}`", from.join(name).display())).usage();
+        return Recipe::load(&found.ok_or_else(missing)?);
+    }
+    // A site manifest beside this one may have the name of a pipeline.
+    if let Ok(recipe) = Recipe::load(&manifest_dir.join(&file)) {
+        return Ok(recipe);
+    }
+    let own = root.join("pipelines").join(&file);
+    if own.is_file() {
+        return Recipe::load(&own);
     }
     if let Some(entry) = PIPELINES.iter().find(|p| p.name == name) {
         return Recipe::parse(entry.text, &format!("{name} (built in)"));
@@ -112,16 +114,18 @@ mod tests {
     fn a_file_stands_in_for_the_pipeline_of_its_name() {
         let folder = tempfile::tempdir().unwrap();
         let root = folder.path();
-        let found = |name: &str| find_pipeline(name, root, root);
+        let found = |name: &str| find_pipeline(name, root, root, root);
         assert_eq!(found("diagnose").unwrap().source, "diagnose (built in)");
         std::fs::write(root.join("diagnose.toml"), "name = 'a site called so'").unwrap();
         assert_eq!(found("diagnose").unwrap().source, "diagnose (built in)");
         std::fs::create_dir(root.join("pipelines")).unwrap();
         std::fs::write(root.join("pipelines/diagnose.toml"), "about = 'own'").unwrap();
         assert_eq!(found("diagnose").unwrap().about, "own");
+        std::fs::write(root.join("pipelines/diagnose.toml"), "abuot = 'own'").unwrap();
+        assert!(found("diagnose").unwrap_err().to_string().contains("abuot"));
         let message = found("diagnos").unwrap_err().to_string();
         assert!(message.contains("nearest: `diagnose`") && message.contains("`flare-t`"), "{message}");
         let message = found("nowhere/own").unwrap_err().to_string();
-        assert!(message.contains("no pipeline file `nowhere/own`"), "{message}");
+        assert!(message.contains("no pipeline file") && message.contains("nowhere/own`"), "{message}");
     }
 }

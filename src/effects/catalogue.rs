@@ -71,7 +71,8 @@ impl Parameter {
         }
     }
 
-    /// Its prior in words: normal about nothing, or about the middle of the range, in the coordinate in which it is estimated.
+    /// Its prior in words, in the coordinate in which it is estimated: normal about nothing, or its typical size where it only shapes the
+    /// effect.
     pub fn prior(&self) -> String {
         let of = match self.scale {
             Scale::Linear => "",

@@ -59,9 +59,13 @@ fn from_error(key: String, error: &crate::Error) -> Problem {
     }
 }
 
+/// Whether `name` may be that of a site: lower-case letters, digits and hyphens.
+pub fn is_site_name(name: &str) -> bool {
+    !name.is_empty() && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
+}
+
 fn name(site: &Site, problems: &mut Vec<Problem>) {
-    let is_plain = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-';
-    if site.name.is_empty() || !site.name.chars().all(is_plain) {
+    if !is_site_name(&site.name) {
         let what = format!("`name` must be lower-case letters, digits and hyphens, got `{}`", site.name);
         problems.push(Problem::new("name", what).hint("it names the run folder: `lotung`, `fksh11-ns`"));
     }

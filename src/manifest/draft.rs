@@ -131,7 +131,7 @@ impl Draft {
         if let Some(unit) = records.unit {
             say(format_args!("unit = {}", quoted(unit.name())));
         }
-        say(format_args!("components = [{}]", list(&records.components)));
+        say(format_args!("components = [{}] # ? horizontal", list(&records.components)));
         say(format_args!(
             "# ? Every fourth event or so to each of the last two, by name; strong ones should be in all three."
         ));

@@ -11,6 +11,7 @@ mod schema;
 mod sections;
 mod table;
 
+pub use check::is_site_name;
 pub use document::{Document, Problem};
 pub use draft::{Draft, DraftRecords};
 pub use schema::schema;

@@ -28,6 +28,8 @@ const COLUMNS: [&str; 6] = ["thickness_m", "depth_m", "vs_m_s", "density_kg_m3",
 const PLAIN: [&str; 4] = ["thickness_m", "vs_m_s", "damping_ratio", "density_kg_m3"];
 /// Densities below this are in g/cm³.
 const LEAST_KG_M3: f64 = 10.0;
+/// Damping ratios above this are in percent.
+const LARGEST_RATIO: f64 = 0.5;
 
 /// Layers from the surface down; with tops of layers the last one reaches down to `base_m`, and nothing is kept below that.
 ///
@@ -59,10 +61,10 @@ pub fn layers(text: &str, base_m: Option<f64>) -> Result<Vec<LayerRow>> {
             number.ok_or_else(wrong).map(Some)
         };
         let needed = |name: &str| {
-            value(name)?.ok_or_else(|| Error::new(format!("line {line} has no `{name}`")).hint("every layer needs it"))
+            let missing = || Error::new(format!("line {line} has no `{name}`")).hint("every layer needs it");
+            value(name)?.filter(|v| *v > 0.0).ok_or_else(missing)
         };
         let in_si = |v: f64| if v < LEAST_KG_M3 { 1000.0 * v } else { v };
-        let percent = |v: f64| if v > 1.0 { 0.01 * v } else { v };
         all.push(Row {
             line: *line,
             top_m: value("depth_m")?,
@@ -70,10 +72,15 @@ pub fn layers(text: &str, base_m: Option<f64>) -> Result<Vec<LayerRow>> {
                 thickness_m: value("thickness_m")?.unwrap_or(0.0),
                 vs_m_s: needed("vs_m_s")?,
                 density_kg_m3: value("density_kg_m3")?.map(in_si),
-                damping_ratio: value("damping_ratio")?.map(percent),
+                damping_ratio: value("damping_ratio")?,
                 plasticity_index: value("plasticity_index")?,
             },
         });
+    }
+    // A column is in percent as a whole: 0.4 beside 2.0 is 0.4 %.
+    let is_percent = all.iter().any(|row| row.layer.damping_ratio.is_some_and(|ratio| ratio > LARGEST_RATIO));
+    if is_percent {
+        all.iter_mut().filter_map(|row| row.layer.damping_ratio.as_mut()).for_each(|ratio| *ratio *= 0.01);
     }
     let has_tops = names.contains(&"depth_m") && !names.contains(&"thickness_m");
     if has_tops {
@@ -162,14 +169,15 @@ mod tests {
     fn tables_of_every_form_give_the_same_layers() {
         let named = "# a comment\nthickness_m,vs_m_s,density_kg_m3\n4,130,1900\n6,180,1950\n";
         let tops = "depth_m;vs_m_s;density_kg_m3\n0;130;1900\n4;180;1950\n10;400;2100\n";
-        let plain = "4 130 2.0 1.9 1\n6 180 2.0 1.95 1\n0 400 1.0 2.1 0\n";
+        let plain = "4 130 2.0 1.9 1\n6 180 0.4 1.95 1\n0 400 1.0 2.1 0\n";
         for text in [named, tops, plain] {
             let found = layers(text, None).unwrap();
             assert_eq!(thicknesses(text, None), [4.0, 6.0], "{text}");
             assert_eq!(found.iter().map(|l| l.vs_m_s).collect::<Vec<_>>(), [130.0, 180.0]);
             assert_eq!(found[1].density_kg_m3, Some(1950.0));
         }
-        assert_eq!(layers(plain, None).unwrap()[0].damping_ratio, Some(0.02));
+        let ratios = layers(plain, None).unwrap().iter().map(|l| l.damping_ratio.unwrap()).collect::<Vec<_>>();
+        assert_eq!(ratios, [0.02, 0.004]);
         assert_eq!(thicknesses(named, Some(7.5)), [4.0, 3.5]);
         assert_eq!(thicknesses(tops, Some(12.0)), [4.0, 6.0, 2.0]);
     }

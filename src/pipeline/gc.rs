@@ -36,7 +36,9 @@ pub fn unused(run_dir: &Path, also: &[Address]) -> Result<Vec<Unused>> {
     for (entry, paths) in store.inventory()? {
         let is_entry = |p: &Path| p == store.dir(&entry);
         let lock_path = store.lock_path(&entry);
-        let paths: Vec<_> = paths.into_iter().filter(|p| !(is_entry(p) && kept.contains(&entry))).collect();
+        let checkpoint = store.checkpoint_dir(&entry);
+        let stays = |p: &Path| kept.contains(&entry) && (is_entry(p) || p == checkpoint);
+        let paths: Vec<_> = paths.into_iter().filter(|p| !stays(p)).collect();
         if paths.is_empty() || Lock::holder(&lock_path).is_some() {
             continue;
         }
@@ -48,11 +50,11 @@ pub fn unused(run_dir: &Path, also: &[Address]) -> Result<Vec<Unused>> {
     Ok(found)
 }
 
-/// Removes entries that [`unused`] listed.
+/// Removes `entries` as far as they are still [`unused`].
 ///
 /// # Errors
 /// When a run is at work, or something cannot be removed.
-pub fn remove(run_dir: &Path, entries: &[Unused]) -> Result<()> {
+pub fn remove(run_dir: &Path, also: &[Address], entries: &[Unused]) -> Result<()> {
     let store = Store::new(run_dir);
     if entries.is_empty() {
         return Ok(());
@@ -61,7 +63,9 @@ pub fn remove(run_dir: &Path, entries: &[Unused]) -> Result<()> {
     let _lease = Lease::alone(&store.lease_path())?.ok_or_else(|| {
         Error::new(format!("a run is at work in `{}`", run_dir.display())).hint("try again when it has ended")
     })?;
-    for Unused { entry, paths, .. } in entries {
+    // A run may have come and gone since they were listed.
+    let still = unused(run_dir, also)?;
+    for Unused { entry, paths, .. } in still.iter().filter(|s| entries.iter().any(|e| e.entry == s.entry)) {
         let lock_path = store.lock_path(entry);
         let Some(_lock) = Lock::try_acquire(&lock_path)? else { continue };
         for path in paths.iter().filter(|p| **p != lock_path) {

@@ -125,6 +125,19 @@ impl Lease {
         Ok(Self { _file: file })
     }
 
+    /// A share for a run; `None` where a collection is at work.
+    ///
+    /// # Errors
+    /// As [`Lease::shared`].
+    pub fn shared_now(path: &Path) -> Result<Option<Self>> {
+        let file = Self::open(path)?;
+        match file.try_lock_shared() {
+            Ok(()) => Ok(Some(Self { _file: file })),
+            Err(TryLockError::WouldBlock) => Ok(None),
+            Err(TryLockError::Error(e)) => Err(e).context(|| format!("cannot lock `{}`", path.display())),
+        }
+    }
+
     /// All of it for a collection; `None` where a run is at work.
     ///
     /// # Errors

@@ -49,6 +49,8 @@ pub struct Summary {
 /// When the plan is impossible (see [`Error::exit_status`]) or the run directory cannot be written. A stage that fails is no
 /// error of the run: see [`Summary::failures`].
 pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, reporter: &dyn Reporter) -> Result<Summary> {
+    // Before anything is decided: what a plan takes for stored is to stay.
+    let lease = (mode == Mode::Run).then(|| lease(site, reporter));
     let planner = Planner::new(site, graph, options)?;
     let (decisions, resolved) = planner.plan()?;
     reporter.event(&Event::Planned(&decisions));
@@ -68,7 +70,11 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
         });
     }
     let n_open = progress.iter().filter(|p| **p == Stand::Open).count();
-    let _lease = (n_open > 0).then(|| Lease::shared(&planner.store.lease_path())).transpose()?;
+    // Where there is nothing to do, a folder that cannot be written will do.
+    let _lease = match lease {
+        Some(Err(error)) if n_open > 0 => return Err(error),
+        other => other,
+    };
     let crew = Crew {
         planner: &planner,
         reporter,
@@ -83,6 +89,18 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
         }
     });
     Ok(summary)
+}
+
+/// A share in the cache; where a collection is at work, that is told and waited for.
+fn lease(site: &Site<'_>, reporter: &dyn Reporter) -> Result<Lease> {
+    let path = site.store().lease_path();
+    match Lease::shared_now(&path)? {
+        Some(lease) => Ok(lease),
+        None => {
+            reporter.event(&Event::Waits { stage: "run", owner: None });
+            Lease::shared(&path)
+        }
+    }
 }
 
 /// Folder of the stored output of one stage, for commands that read results.

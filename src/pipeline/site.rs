@@ -2,7 +2,7 @@
 
 use super::files::{copy_if_changed, write_if_changed};
 use super::{Address, Node, Store};
-use crate::error::{Context, Result};
+use crate::error::{Context, Error, Result};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -68,13 +68,14 @@ impl Memory {
     /// When there is one that cannot be read: what it refers to is not known.
     pub(super) fn strict(site_dir: &Path) -> Result<Vec<Address>> {
         let path = site_dir.join(LAST);
-        if !path.exists() {
+        let what = || format!("cannot read `{}`, which says what a site uses", path.display());
+        if !path.try_exists().context(what)? {
             return Ok(Vec::new());
         }
-        let what = || format!("cannot read `{}`, which says what a site uses", path.display());
         let text = fs::read_to_string(&path).context(what)?;
         let last: BTreeMap<String, String> = toml::from_str(&text).context(what)?;
-        Ok(last.values().filter_map(|text| Address::parse(text)).collect())
+        let address = |text: &String| Address::parse(text).ok_or_else(|| Error::new(what()));
+        last.values().map(address).collect()
     }
 
     pub(super) fn last(&self, stage: &str) -> Option<Address> {

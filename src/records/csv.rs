@@ -115,11 +115,13 @@ fn reader<R: Read>(source: R) -> ::csv::Reader<R> {
 
 /// The unit that a comment above the header says.
 fn stated_unit(source: impl BufRead) -> Result<Option<AccelerationUnit>> {
-    // A byte order mark and text in another code are the business of who reads the columns.
-    let comments = source.split(b'\n').map_while(std::io::Result::ok).take_while(|line| line.starts_with(b"#"));
-    for line in comments {
-        let text = String::from_utf8_lossy(&line);
-        let Some(name) = text.trim_start_matches('#').trim().strip_prefix("unit:") else { continue };
+    let lines = source.split(b'\n').map_while(std::io::Result::ok);
+    let text = lines.map(|line| String::from_utf8_lossy(&line).trim_start_matches('\u{feff}').trim().to_string());
+    for line in text.filter(|line| !line.is_empty()).take_while(|line| line.starts_with('#')) {
+        let Some((key, name)) = line.trim_start_matches('#').split_once(':') else { continue };
+        if !key.trim().eq_ignore_ascii_case("unit") {
+            continue;
+        }
         let known = AccelerationUnit::named(name.trim());
         let unknown =
             || Error::new(format!("the unit `{}` is not known", name.trim())).hint("it must be `g`, `gal` or `m/s2`");

@@ -123,7 +123,8 @@ fn read_one(format: &dyn Format, request: &Request) -> Found {
     }
 }
 
-fn nothing_found(event: &str, missing: &[Missing], dir: &Path) -> Error {
+/// That none of the files of an event, which are among the `missing` ones, is in `dir`.
+pub fn nothing_found(event: &str, missing: &[Missing], dir: &Path) -> Error {
     let files: Vec<String> = missing
         .iter()
         .filter(|m| m.event == event)

@@ -3,7 +3,7 @@
 use super::artifact::{read_json, read_table, write_json};
 use super::evaluate::{self, Both, Evaluation};
 use super::motions::MotionSummary;
-use super::{dataset, distill, motions, pretrain, report_closing, source_study};
+use super::{compare, dataset, distill, motions, pretrain, report_closing, source_study};
 use crate::error::{Context, Result};
 use crate::flare::{Calibration, Guard, SourceModel, SparseEncoder, reconstruct};
 use crate::metrics::{DAMPING, Quartiles, log_periods_s, median, psa, timewise_error_percent};
@@ -56,7 +56,11 @@ impl Stage for Report {
         let trained = task.has_input("evaluate").then(|| evaluate::read(task.input("evaluate")?)).transpose()?;
         let metrics = match &trained {
             Some((evaluation, _)) => metrics(task, evaluation)?,
-            None => json!({ "site": task.section::<String>("name")? }),
+            None => {
+                let compared = compare::read(task.input("compare")?)?;
+                let test: Vec<_> = compared.errors.iter().filter(|row| row.split == Split::Test).collect();
+                json!({ "site": task.section::<String>("name")?, "test": test })
+            }
         };
         write_json(&task.output_dir().join("metrics.json"), &metrics)?;
         let content = content(task, trained)?;
