@@ -118,7 +118,11 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     assert!(place.run(&[]).is_empty(), "everything is cached, the truth still gone");
 
     // The same loop without FLARE-T compares the same replays, over whole records.
-    assert_eq!(place.run(&["--pipeline", "diagnose"]), ["compare"]);
+    assert_eq!(place.run(&["--pipeline", "diagnose"]), ["compare", "report"]);
+    let first = place.loop_json()["answer"][0].as_str().expect("a sentence").to_string();
+    assert!(first.starts_with("Known: sensor orientation (surface)"), "{first}");
+    let report = fs::read_to_string(place.path("runs/smoke/report.html")).expect("a report");
+    assert!(report.contains(&first), "the report begins with the same words");
     let alone = place.loop_json()["summary"]["test_median_nrmse_percent"].clone();
     assert!(alone["flare_after"].is_null(), "{alone}");
     for name in ["declared", "recalibrated", "corrected", "noise_floor"] {
