@@ -15,6 +15,9 @@ const MODELS: [(&str, &str); 7] = [
     ("Ceiling", "ceiling of a filter from other events"),
 ];
 
+/// Ends of names of parameters that say the unit, which stands behind the value for people.
+const UNITS: [&str; 6] = ["_m_s2", "_kpa", "_deg", "_hz", "_m", "_s"];
+
 /// What is named and how sure, what remains, the errors of held-out events, and what to do next: a line each.
 pub fn answer(closing: &Closing) -> Vec<String> {
     let mut lines = vec![headline(closing)];
@@ -56,6 +59,8 @@ fn phrase(effect: &NamedEffect) -> String {
 fn strength(name: &str, value: &Interval) -> String {
     let is_factor = name.starts_with("ln_") && value.unit.is_empty();
     if !is_factor {
+        let name =
+            UNITS.iter().find_map(|unit| name.strip_suffix(unit)).filter(|_| !value.unit.is_empty()).unwrap_or(name);
         return format!("{} {}", words(name), super::closing::interval(value));
     }
     let percent = |ln: f64| 100.0 * (ln.exp() - 1.0);
@@ -83,7 +88,7 @@ fn spectra(closing: &Closing) -> Option<String> {
         Some(format!("{name} {}", number::fixed(psa, 2)))
     };
     let all: Vec<String> = MODELS.iter().filter_map(of).collect();
-    (!all.is_empty()).then(|| format!("ln PSA of held-out events, RMS of its error: {}.", all.join(", ")))
+    (!all.is_empty()).then(|| format!("Response spectra of held-out events, RMS error of ln PSA: {}.", all.join(", ")))
 }
 
 fn next(closing: &Closing) -> String {
@@ -128,6 +133,8 @@ mod tests {
             lines[0],
             "Known: layer velocity (0.0–6.0 m) factor −8.0 % [−12.0, −3.0]; small strain damping multiplier 2.00 [1.50, 2.50]."
         );
+        let corner = Interval { value: 2.0, unit: "Hz".into(), ci95: [1.5, 2.5], by_prior: None };
+        assert_eq!(strength("corner_hz", &corner), "corner 2.00 [1.50, 2.50] Hz");
         assert_eq!(lines[1], "What remains is noise.");
         assert!(lines[2].contains("declared 51.2 %"), "{}", lines[2]);
         assert!(lines[3].contains("site.corrected.toml"));

@@ -149,11 +149,14 @@ fn scatter(scores: &[Score]) -> Markup {
             sensors.push(&score.sensor);
         }
     }
-    let point = |s: &Score| {
-        Some((s.nrmse_percent.fe?, s.nrmse_percent.flare_t?)).filter(|p| p.0.is_finite() && p.1.is_finite())
-    };
-    let top = scores.iter().filter_map(point).fold(0.0_f64, |top, p| top.max(p.0).max(p.1.min(3.0 * p.0))) * 1.06;
-    if top <= 0.0 {
+    let is_shown = |v: f64| v.is_finite() && v > 0.0;
+    let point =
+        |s: &Score| Some((s.nrmse_percent.fe?, s.nrmse_percent.flare_t?)).filter(|p| is_shown(p.0) && is_shown(p.1));
+    // Every mark is where it is, on either side of the line: 2 and 80 % may share the axes.
+    let all: Vec<f64> = scores.iter().filter_map(point).flat_map(|p| [p.0, p.1]).collect();
+    let [low, top] =
+        [all.iter().copied().fold(f64::INFINITY, f64::min) / 1.3, all.iter().copied().fold(0.0, f64::max) * 1.3];
+    if all.is_empty() {
         return html! {};
     }
     let color = |i: usize| chart::SERIES[i % chart::SERIES.len()];
@@ -161,24 +164,19 @@ fn scatter(scores: &[Score]) -> Markup {
         .iter()
         .enumerate()
         .map(|(i, sensor)| Dots {
-            points: scores
-                .iter()
-                .filter(|s| s.sensor == *sensor)
-                .filter_map(point)
-                .map(|p| (p.0, p.1.min(top)))
-                .collect(),
+            points: scores.iter().filter(|s| s.sensor == *sensor).filter_map(point).collect(),
             color: color(i),
             shape: SHAPES[i % SHAPES.len()],
         })
         .collect();
     let frame = Frame {
         size: (460.0, 400.0),
-        x: Axis { label: "NRMSE of FE (%)", range: (0.0, top), log: false },
-        y: Axis { label: "NRMSE of FLARE-T (%)", range: (0.0, top), log: false },
+        x: Axis { label: "NRMSE of FE (%)", range: (low, top), log: true },
+        y: Axis { label: "NRMSE of FLARE-T (%)", range: (low, top), log: true },
         alt: "NRMSE of FLARE-T over NRMSE of FE, one mark per event, component and sensor, with the line of equality"
             .into(),
     };
-    let equal = Curve { points: vec![(0.0, 0.0), (top, top)], color: "#5f6670", width: 1.0, dash: Some("4 3") };
+    let equal = Curve { points: vec![(low, low), (top, top)], color: "#5f6670", width: 1.0, dash: Some("4 3") };
     let caption = html! {
         "One mark for each event, component and sensor. Below the dashed line FLARE-T is closer to the record, above it FE."
         ul {
