@@ -1,22 +1,36 @@
-//! Candidates that may be strong: each over all its strengths, from what is declared, by the equivalent-linear column. Where tolerances or
-//! other effects stand in for something strong, what is linear beside them says little of it.
+//! Candidates that may be strong: each over all its strengths, from what is declared, by the equivalent-linear column, and by the column
+//! itself where that does something else. Where tolerances or other effects stand in for something strong, what is linear beside them says
+//! little of it.
 
 use super::proposals::{SHORTLIST, away, distinct, is_among_best, is_linear};
-use super::{Competition, FAR_HEAT};
+use super::{Competition, FAR, FAR_HEAT};
 use crate::effects::Instance;
 use crate::inference::parameters::Model;
-use crate::inference::posterior::{Fit, Fitter, Start, Stop};
+use crate::inference::posterior::{Fit, Fitter, Start, Stop, is_borne_out};
 use crate::numerics::threads::on_threads;
 use std::collections::BTreeMap;
 
-/// Strengths at which candidates are tried to either side of nothing, in typical sizes.
+/// Strengths at which candidates are tried to either side of nothing, in typical sizes; where the last is the best, twice that and so on.
 const LADDER: [f64; 4] = [0.4, 0.9, 1.5, 2.2];
 
-/// What candidates are added to: a model somewhere, and the equivalent-linear column there.
-pub(super) struct Ground<'a> {
+/// What candidates are added to: a model somewhere, the column, and the equivalent-linear one there.
+pub(super) struct Ground<'a, 'f> {
     by: Fitter<'a>,
+    column: &'f Fitter<'a>,
     model: Model<'a>,
     x: Vec<f64>,
+    /// −ln of its posterior density by the equivalent-linear column, and by the column.
+    costs: [f64; 2],
+}
+
+/// A candidate at the best of its strengths.
+struct Tried<'i> {
+    instance: &'i Instance,
+    at: Vec<f64>,
+    /// How much −ln of the posterior density falls.
+    gain: f64,
+    /// Whether that is by replays.
+    is_replayed: bool,
 }
 
 impl<'a> Competition<'a> {
@@ -35,17 +49,21 @@ impl<'a> Competition<'a> {
     /// Fits of the most promising `candidates` to the equivalent-linear column, best first.
     pub(super) fn scanned<'i>(
         &self,
-        ground: &Ground<'a>,
+        ground: &Ground<'a, '_>,
         candidates: impl Iterator<Item = &'i Instance>,
     ) -> Vec<Fit<'a>> {
         let smooth: Vec<&Instance> = candidates.filter(|i| is_linear(i)).collect();
-        let tried = |i: usize| Some((smooth[i], ground.best_of_ladder(smooth[i])?));
-        let mut all: Vec<_> = on_threads(smooth.len(), tried).into_iter().flatten().collect();
-        all.sort_by(|(_, (_, a)), (_, (_, b))| a.total_cmp(b));
+        let tried = |i: usize| {
+            let (at, cost) = ground.best_of_ladder(smooth[i])?;
+            Some(Tried { instance: smooth[i], at, gain: ground.costs[0] - cost, is_replayed: false })
+        };
+        let all: Vec<Tried<'_>> = on_threads(smooth.len(), tried).into_iter().flatten().collect();
+        let mut all = ground.borne_out(all);
+        all.sort_by(|a, b| b.gain.total_cmp(&a.gain));
         let mut places: BTreeMap<String, usize> = BTreeMap::new();
-        all.retain(|(instance, _)| is_among_best(&mut places, instance));
+        all.retain(|tried| is_among_best(&mut places, tried.instance));
         all.truncate(SHORTLIST);
-        let fitted = |i: usize| ground.fitted(all[i].0, all[i].1.0.clone());
+        let fitted = |i: usize| ground.first_fit(&all[i]);
         let mut fits: Vec<Fit<'a>> = on_threads(all.len(), fitted).into_iter().flatten().collect();
         self.best_first(&mut fits);
         fits
@@ -58,16 +76,63 @@ impl<'a> Competition<'a> {
     }
 }
 
-impl<'a> Ground<'a> {
+impl<'a, 'f> Ground<'a, 'f> {
     /// A model at `x`; none where the column cannot be replayed there.
-    pub(super) fn new(by: &Fitter<'a>, model: Model<'a>, x: Vec<f64>) -> Option<Self> {
-        Some(Self { by: by.by_surrogate(&model, &x)?, model, x })
+    pub(super) fn new(column: &'f Fitter<'a>, model: Model<'a>, x: Vec<f64>) -> Option<Self> {
+        let by = column.by_surrogate(&model, &x)?;
+        let costs = [by.cost_at(&model, x.clone()).ok()?, column.cost_at(&model, x.clone()).ok()?];
+        Some(Self { by, column, model, x, costs })
     }
 
     /// A model at its declared values, its effects as at `x`.
-    pub(super) fn declared(by: &Fitter<'a>, model: Model<'a>, mut x: Vec<f64>) -> Option<Self> {
+    pub(super) fn declared(column: &'f Fitter<'a>, model: Model<'a>, mut x: Vec<f64>) -> Option<Self> {
         x[..model.declared.len()].fill(0.0);
-        Self::new(by, model, x)
+        Self::new(column, model, x)
+    }
+
+    /// The same candidates, those replayed at all strengths of whose form the column, at the best place and strength, does something else
+    /// than the equivalent-linear one foretells.
+    fn borne_out<'i>(&self, tried: Vec<Tried<'i>>) -> Vec<Tried<'i>> {
+        let mut best: Vec<&Tried<'i>> = Vec::new();
+        for one in &tried {
+            match best.iter_mut().find(|known| known.instance.is_alike(one.instance)) {
+                Some(known) if known.gain >= one.gain => {}
+                Some(known) => *known = one,
+                None => best.push(one),
+            }
+        }
+        let is_poor = |i: usize| {
+            let cost = self.cost(self.column, best[i].instance, best[i].at.clone()).unwrap_or(f64::INFINITY);
+            is_other(self.costs[1] - cost, best[i].gain)
+        };
+        let poor: Vec<bool> = on_threads(best.len(), is_poor);
+        let poor: Vec<&Instance> = best.iter().zip(poor).filter(|(_, poor)| *poor).map(|(b, _)| b.instance).collect();
+        let again = |i: usize| {
+            let instance = tried[i].instance;
+            if !poor.iter().any(|known| known.is_alike(instance)) {
+                return Some(Tried { instance, at: tried[i].at.clone(), ..tried[i] });
+            }
+            let (at, cost) = self.ladder(self.column, instance)?;
+            Some(Tried { instance, at, gain: self.costs[1] - cost, is_replayed: true })
+        };
+        on_threads(tried.len(), again).into_iter().flatten().collect()
+    }
+
+    /// The fit of a candidate to the equivalent-linear column, or, where that does something else, where it is, on the same scale.
+    fn first_fit(&self, tried: &Tried<'_>) -> Option<Fit<'a>> {
+        if !tried.is_replayed {
+            return self.fitted(tried.instance, tried.at.clone());
+        }
+        let (model, x) = self.with(tried.instance, tried.at.clone());
+        let mut fit = self.column.fit(Start::at(model, x), Stop::WHERE_IT_IS).ok()?;
+        fit.cost += self.costs[0] - self.costs[1];
+        Some(fit)
+    }
+
+    /// −ln of the posterior density with `instance` at `at`.
+    fn cost(&self, by: &Fitter<'a>, instance: &Instance, at: Vec<f64>) -> Option<f64> {
+        let (model, x) = self.with(instance, at);
+        by.cost_at(&model, x).ok()
     }
 
     fn with(&self, instance: &Instance, at: Vec<f64>) -> (Model<'a>, Vec<f64>) {
@@ -76,16 +141,29 @@ impl<'a> Ground<'a> {
         (model, self.x.iter().copied().chain(at).collect())
     }
 
-    /// The most probable strength of `instance` among those of the ladder, and −ln of its posterior density.
+    /// The most probable strength of `instance` by the equivalent-linear column, and −ln of its posterior density.
     pub(super) fn best_of_ladder(&self, instance: &Instance) -> Option<(Vec<f64>, f64)> {
+        self.ladder(&self.by, instance)
+    }
+
+    fn ladder(&self, by: &Fitter<'a>, instance: &Instance) -> Option<(Vec<f64>, f64)> {
         let zero = instance.zero()?;
-        let sides = |size: &f64| [1.0, -1.0].map(|side| away(instance, &zero, *size, side));
-        let cost = |at: Vec<f64>| {
-            let (model, x) = self.with(instance, at.clone());
-            Some((at, self.by.cost_at(&model, x).ok()?))
+        let there = |size: f64, side: f64| {
+            let at = away(instance, &zero, size, side)?;
+            let cost = self.cost(by, instance, at.clone())?;
+            Some((at, cost))
         };
-        let all = LADDER.iter().flat_map(sides).flatten().filter_map(cost);
-        all.min_by(|a, b| a.1.total_cmp(&b.1))
+        let steps = || LADDER.iter().flat_map(|size| [1.0, -1.0].map(|side| (*size, side)));
+        let all = steps().filter_map(|(size, side)| Some((size, side, there(size, side)?)));
+        let (mut size, side, mut best) = all.min_by(|a, b| a.2.1.total_cmp(&b.2.1))?;
+        while size >= LADDER[LADDER.len() - 1] {
+            size *= 2.0;
+            match there(size, side) {
+                Some(farther) if farther.1 < best.1 => best = farther,
+                _ => break,
+            }
+        }
+        Some(best)
     }
 
     /// The fit of `instance` from `at`.
@@ -98,6 +176,11 @@ impl<'a> Ground<'a> {
     pub(super) fn fitted_from(&self, x: Vec<f64>) -> Option<Fit<'a>> {
         self.by.fit(Start::at(self.model.clone(), x), Stop::ON_THE_WAY).ok()
     }
+}
+
+/// Whether what was `gained` is other than what was `foretold`, so far that it counts.
+fn is_other(gained: f64, foretold: f64) -> bool {
+    (gained - foretold).abs() > FAR && !is_borne_out(gained, foretold)
 }
 
 #[cfg(test)]

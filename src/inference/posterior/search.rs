@@ -75,7 +75,7 @@ enum Origin {
 }
 
 /// Whether what was `gained` bears out what slopes `foretold`.
-pub(super) fn is_borne_out(gained: f64, foretold: f64) -> bool {
+pub fn is_borne_out(gained: f64, foretold: f64) -> bool {
     (TRUSTED[0]..TRUSTED[1]).contains(&(gained / foretold))
 }
 
