@@ -1,5 +1,7 @@
 //! The only unit conversions of the program: inside, everything is SI.
 
+use crate::error::{Error, Result};
+
 /// Standard acceleration of gravity, m/s².
 pub const G_M_S2: f64 = 9.806_65;
 
@@ -42,8 +44,13 @@ impl AccelerationUnit {
     }
 
     /// The unit of this name, in any case.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|unit| unit.name().eq_ignore_ascii_case(name))
+    ///
+    /// # Errors
+    /// When there is none.
+    pub fn named(name: &str) -> Result<Self> {
+        let found = Self::ALL.into_iter().find(|unit| unit.name().eq_ignore_ascii_case(name));
+        let unknown = || Error::new(format!("the unit `{name}` is not known")).hint("it must be `g`, `gal` or `m/s2`");
+        found.ok_or_else(unknown)
     }
 
     /// How many m/s² one unit is.

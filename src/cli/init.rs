@@ -49,7 +49,7 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         let hint = "take another name, another `--output`, or remove the file";
         return Err(Error::new(format!("`{}` is there already", path.display())).hint(hint).usage());
     }
-    let unit = arguments.unit.as_deref().map(unit_named).transpose()?;
+    let unit = arguments.unit.as_deref().map(AccelerationUnit::named).transpose().map_err(Error::usage)?;
     let mut depths = arguments.sensors.iter().map(|text| depth(text)).collect::<Result<Vec<_>>>()?;
     let folder = arguments.records.as_deref().map(scan).transpose()?;
     if let Some(folder) = &folder {
@@ -104,12 +104,6 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     if as_json { write_json(&json!({ "manifest": path })) } else { data!("{}", path.display()) }
 }
 
-fn unit_named(name: &str) -> Result<AccelerationUnit> {
-    let unknown =
-        || Error::new(format!("the unit `{name}` is not known")).hint("it must be `g`, `gal` or `m/s2`").usage();
-    AccelerationUnit::named(name).ok_or_else(unknown)
-}
-
 fn depth(text: &str) -> Result<(String, f64)> {
     let read = |(name, depth): (&str, &str)| {
         let depth_m = depth.trim().parse().ok().filter(|d: &f64| d.is_finite() && *d >= 0.0)?;
@@ -153,7 +147,7 @@ fn scan(dir: &Path) -> Result<Folder> {
     let (vertical, components): (BTreeSet<String>, _) = components.into_iter().partition(|c| is_vertical(c));
     if let Some(first) = files.iter().find(|p| csv_name(p).is_some()) {
         let channels = csv::channel_names(first)?.into_iter().map(|name| (name, None)).collect();
-        let says_unit = csv::unit_in(first)?.is_some();
+        let says_unit = csv::unit_in(first).map_err(Error::usage)?.is_some();
         return Ok(Folder { dir: dir.into(), format: "csv", events, components, vertical, says_unit, channels });
     }
     let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&kiknet_name);

@@ -6,9 +6,9 @@ use super::workspace::Workspace;
 use crate::diagnosis::signal_band_hz;
 use crate::error::{Error, Result};
 use crate::manifest::Manifest;
-use crate::records::{self, Asked, Found, Missing, Record, Split};
+use crate::records::{self, Record, Split};
 use serde::Serialize;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// One component of one event.
 #[derive(Debug, Serialize)]
@@ -60,32 +60,21 @@ pub fn inventory(manifest: &Manifest) -> Result<Vec<Row>> {
     if settings.format == "twin" {
         return Ok(Vec::new());
     }
-    let (mut rows, mut missing, mut wrong, mut unsound) = (Vec::new(), Vec::new(), Vec::new(), BTreeSet::new());
-    for Asked { event, component, split, found } in
-        records::survey(settings, dir, &sensors.input, &sensors.names()).map_err(Error::usage)?
-    {
-        let (content, remarks) = match found {
-            Found::Record(record) => (Some(content(&record, settings)), records::remarks(&record)),
-            Found::Missing(file) => {
-                let remark = format!("not there: `{}`", file.display());
-                missing.push(Missing { event: event.clone(), component: component.clone(), file });
-                (None, vec![remark])
-            }
-            Found::Unsound(error) => {
-                unsound.insert(event);
-                wrong.push(error.usage());
-                continue;
-            }
-        };
-        rows.push(Row { event, component, split, content, remarks });
-    }
-    for (event, _) in settings.events() {
-        let is_there = rows.iter().any(|row| row.event == event && row.content.is_some());
-        if !is_there && !unsound.contains(event) {
-            wrong.push(records::nothing_found(event, &missing, dir).usage());
+    let read = records::load(settings, dir, &sensors.input, &sensors.names()).map_err(Error::usage)?;
+    let row = |split, event: &str, component: &String| {
+        let record = read.records.iter().map(|(_, r)| r).find(|r| r.event == event && r.component == *component);
+        let missing = read.missing.iter().filter(|m| m.event == event && m.component == *component);
+        let absent = missing.map(|m| format!("not there: `{}`", m.file.display()));
+        Row {
+            event: event.into(),
+            component: component.clone(),
+            split,
+            content: record.map(|record| content(record, settings)),
+            remarks: record.map(records::remarks).into_iter().flatten().chain(absent).collect(),
         }
-    }
-    Error::all(wrong).map(|()| rows)
+    };
+    let of_event = |(event, split)| settings.components.iter().map(move |component| (split, event, component));
+    Ok(settings.events().flat_map(of_event).map(|(split, event, component)| row(split, event, component)).collect())
 }
 
 fn content(record: &Record, settings: &records::RecordSettings) -> Content {

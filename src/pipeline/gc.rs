@@ -3,10 +3,10 @@
 use super::files::list;
 use super::lock::Lease;
 use super::site::Memory;
-use super::{Address, Lock, Store};
+use super::{Address, Key, Lock, Store};
 use crate::error::{Context, Error, Result};
 use serde::Serialize;
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -31,9 +31,11 @@ pub struct Unused {
 /// When the run directory, or what a site used last, cannot be read.
 pub fn unused(run_dir: &Path, also: &[Address]) -> Result<Vec<Unused>> {
     let store = Store::new(run_dir);
-    let kept = kept(run_dir, &store, also)?;
+    let inventory = store.inventory()?;
+    let by_key = inventory.iter().map(|(entry, _)| (entry.key.clone(), entry)).collect();
+    let kept = kept(run_dir, &store, also, &by_key)?;
     let mut found = Vec::new();
-    for (entry, paths) in store.inventory()? {
+    for (entry, paths) in inventory.clone() {
         let is_entry = |p: &Path| p == store.dir(&entry);
         let lock_path = store.lock_path(&entry);
         let checkpoint = store.checkpoint_dir(&entry);
@@ -77,7 +79,12 @@ pub fn remove(run_dir: &Path, also: &[Address], entries: &[Unused]) -> Result<()
 }
 
 /// Addresses that some site used last and those in `also`, with their items and all that these were made from.
-fn kept(run_dir: &Path, store: &Store, also: &[Address]) -> Result<BTreeSet<Address>> {
+fn kept(
+    run_dir: &Path,
+    store: &Store,
+    also: &[Address],
+    by_key: &BTreeMap<Key, &Address>,
+) -> Result<BTreeSet<Address>> {
     let mut open: Vec<Address> = also.to_vec();
     let what = || format!("cannot read `{}`", run_dir.display());
     if run_dir.is_dir() {
@@ -85,7 +92,6 @@ fn kept(run_dir: &Path, store: &Store, also: &[Address]) -> Result<BTreeSet<Addr
             open.extend(Memory::strict(&site.context(what)?.path())?);
         }
     }
-    let all: Vec<Address> = store.inventory()?.into_iter().map(|(address, _)| address).collect();
     let mut kept = BTreeSet::new();
     while let Some(address) = open.pop() {
         if !kept.insert(address.clone()) {
@@ -95,7 +101,7 @@ fn kept(run_dir: &Path, store: &Store, also: &[Address]) -> Result<BTreeSet<Addr
             open.extend(outputs.items.iter().filter_map(|item| Address::parse(&item.entry)));
         }
         if let Some(parts) = store.parts(&address) {
-            open.extend(all.iter().filter(|other| parts.inputs.values().any(|key| *key == other.key)).cloned());
+            open.extend(parts.inputs.values().filter_map(|key| by_key.get(key).map(|address| (*address).clone())));
         }
     }
     Ok(kept)

@@ -44,12 +44,8 @@ impl Lock {
     /// When the file cannot be made or locks are not supported there.
     pub fn try_acquire(path: &Path) -> Result<Option<Self>> {
         let what = || format!("cannot lock `{}`", path.display());
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).context(what)?;
-        }
         loop {
-            let file = OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path);
-            let file = file.context(what)?;
+            let file = lock_file(path)?;
             match file.try_lock() {
                 Ok(()) => {}
                 Err(TryLockError::WouldBlock) => return Ok(None),
@@ -108,6 +104,15 @@ impl Drop for Lock {
     }
 }
 
+/// The file of a lock, made with its folder where it is not there.
+fn lock_file(path: &Path) -> Result<File> {
+    let what = || format!("cannot lock `{}`", path.display());
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder).context(what)?;
+    }
+    OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).context(what)
+}
+
 /// A share in a cache: many runs have one at a time, or one collection has all. The operating system takes it back from whoever dies.
 #[derive(Debug)]
 pub(super) struct Lease {
@@ -115,27 +120,21 @@ pub(super) struct Lease {
 }
 
 impl Lease {
-    /// A share for a run; waits for a collection to end.
+    /// A share for a run; where a collection is at work, `waiting` is told and its end waited for.
     ///
     /// # Errors
     /// When the file cannot be made or locks are not supported there.
-    pub fn shared(path: &Path) -> Result<Self> {
-        let file = Self::open(path)?;
-        file.lock_shared().context(|| format!("cannot lock `{}`", path.display()))?;
-        Ok(Self { _file: file })
-    }
-
-    /// A share for a run; `None` where a collection is at work.
-    ///
-    /// # Errors
-    /// As [`Lease::shared`].
-    pub fn shared_now(path: &Path) -> Result<Option<Self>> {
-        let file = Self::open(path)?;
-        match file.try_lock_shared() {
-            Ok(()) => Ok(Some(Self { _file: file })),
-            Err(TryLockError::WouldBlock) => Ok(None),
-            Err(TryLockError::Error(e)) => Err(e).context(|| format!("cannot lock `{}`", path.display())),
-        }
+    pub fn shared(path: &Path, waiting: impl FnOnce()) -> Result<Self> {
+        let file = lock_file(path)?;
+        let locked = match file.try_lock_shared() {
+            Err(TryLockError::WouldBlock) => {
+                waiting();
+                file.lock_shared()
+            }
+            Err(TryLockError::Error(e)) => Err(e),
+            Ok(()) => Ok(()),
+        };
+        locked.context(|| format!("cannot lock `{}`", path.display())).map(|()| Self { _file: file })
     }
 
     /// All of it for a collection; `None` where a run is at work.
@@ -143,20 +142,12 @@ impl Lease {
     /// # Errors
     /// As [`Lease::shared`].
     pub fn alone(path: &Path) -> Result<Option<Self>> {
-        let file = Self::open(path)?;
+        let file = lock_file(path)?;
         match file.try_lock() {
             Ok(()) => Ok(Some(Self { _file: file })),
             Err(TryLockError::WouldBlock) => Ok(None),
             Err(TryLockError::Error(e)) => Err(e).context(|| format!("cannot lock `{}`", path.display())),
         }
-    }
-
-    fn open(path: &Path) -> Result<File> {
-        let what = || format!("cannot lock `{}`", path.display());
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).context(what)?;
-        }
-        OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).context(what)
     }
 }
 

@@ -50,7 +50,8 @@ pub struct Summary {
 /// error of the run: see [`Summary::failures`].
 pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, reporter: &dyn Reporter) -> Result<Summary> {
     // Before anything is decided: what a plan takes for stored is to stay.
-    let lease = (mode == Mode::Run).then(|| lease(site, reporter));
+    let waiting = || reporter.event(&Event::Waits { stage: "run", owner: None });
+    let lease = (mode == Mode::Run).then(|| Lease::shared(&site.store().lease_path(), waiting));
     let planner = Planner::new(site, graph, options)?;
     let (decisions, resolved) = planner.plan()?;
     reporter.event(&Event::Planned(&decisions));
@@ -89,18 +90,6 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
         }
     });
     Ok(summary)
-}
-
-/// A share in the cache; where a collection is at work, that is told and waited for.
-fn lease(site: &Site<'_>, reporter: &dyn Reporter) -> Result<Lease> {
-    let path = site.store().lease_path();
-    match Lease::shared_now(&path)? {
-        Some(lease) => Ok(lease),
-        None => {
-            reporter.event(&Event::Waits { stage: "run", owner: None });
-            Lease::shared(&path)
-        }
-    }
 }
 
 /// Folder of the stored output of one stage, for commands that read results.

@@ -374,7 +374,7 @@ fn collection_removes_what_no_site_used_last_and_only_that() {
     // What a manifest still leads to stays, with what it was made from.
     let joined = listed.iter().find(|u| u.entry.folder.starts_with("join")).expect("listed").entry.clone();
     assert!(unused(&runs, &[joined]).expect("readable").is_empty());
-    let share = Lease::shared(&runs.join("cache/lease")).expect("locked");
+    let share = Lease::shared(&runs.join("cache/lease"), || {}).expect("locked");
     let refused = remove(&runs, &[], &listed).expect_err("a run is at work").to_string();
     assert!(refused.contains("a run is at work"), "{refused}");
     drop(share);

@@ -70,8 +70,7 @@ pub struct Table {
 /// As [`columns`]; when neither says the unit, or the two differ.
 pub fn read(path: &Path, names: &[&str], unit: Option<AccelerationUnit>) -> Result<Table> {
     let place = |e: Error| e.at(format!("`{}`", path.display()));
-    let open = || File::open(path).map(BufReader::new).context(|| format!("cannot read `{}`", path.display()));
-    let unit = match (unit, stated_unit(open()?).map_err(place)?) {
+    let unit = match (unit, unit_in(path)?) {
         (Some(declared), Some(stated)) if declared != stated => {
             let what = format!("the file says that it is in {stated}, but {declared} is declared");
             return Err(place(
@@ -84,7 +83,7 @@ pub fn read(path: &Path, names: &[&str], unit: Option<AccelerationUnit>) -> Resu
         let hint = "set `records.unit` to `g`, `gal` or `m/s2`, or write `# unit: gal` above the header of the file";
         place(Error::new("nothing says in what unit the accelerations are").hint(hint).usage())
     };
-    columns(open()?, names, unit.ok_or_else(no_unit)?.m_s2()).map_err(place)
+    columns(opened(path)?, names, unit.ok_or_else(no_unit)?.m_s2()).map_err(place)
 }
 
 /// Names of the columns of the contract CSV at `path` beside the time.
@@ -93,8 +92,7 @@ pub fn read(path: &Path, names: &[&str], unit: Option<AccelerationUnit>) -> Resu
 /// When it cannot be read or has no column `time_s`.
 pub fn channel_names(path: &Path) -> Result<Vec<String>> {
     let place = |e: Error| e.at(format!("`{}`", path.display())).usage();
-    let file = File::open(path).context(|| format!("cannot read `{}`", path.display()))?;
-    let mut reader = reader(file);
+    let mut reader = reader(opened(path)?);
     let header = reader.headers().map_err(unreadable).map_err(place)?;
     let time = find_column(header, "time_s").map_err(place)?;
     Ok(header.iter().enumerate().filter(|(i, _)| *i != time).map(|(_, name)| name.to_string()).collect())
@@ -105,8 +103,11 @@ pub fn channel_names(path: &Path) -> Result<Vec<String>> {
 /// # Errors
 /// When it cannot be read, or the unit is not known.
 pub fn unit_in(path: &Path) -> Result<Option<AccelerationUnit>> {
-    let file = File::open(path).context(|| format!("cannot read `{}`", path.display()))?;
-    stated_unit(BufReader::new(file)).map_err(|e| e.at(format!("`{}`", path.display())).usage())
+    stated_unit(opened(path)?).map_err(|e| e.at(format!("`{}`", path.display())))
+}
+
+fn opened(path: &Path) -> Result<BufReader<File>> {
+    File::open(path).map(BufReader::new).context(|| format!("cannot read `{}`", path.display()))
 }
 
 fn reader<R: Read>(source: R) -> ::csv::Reader<R> {
@@ -122,10 +123,7 @@ fn stated_unit(source: impl BufRead) -> Result<Option<AccelerationUnit>> {
         if !key.trim().eq_ignore_ascii_case("unit") {
             continue;
         }
-        let known = AccelerationUnit::named(name.trim());
-        let unknown =
-            || Error::new(format!("the unit `{}` is not known", name.trim())).hint("it must be `g`, `gal` or `m/s2`");
-        return known.ok_or_else(unknown).map(Some);
+        return AccelerationUnit::named(name.trim()).map(Some);
     }
     Ok(None)
 }

@@ -35,22 +35,8 @@ impl Records {
     }
 }
 
-/// One component of one event of a manifest, and what was found of it.
-#[derive(Debug)]
-pub struct Asked {
-    /// Event name.
-    pub event: String,
-    /// Component name.
-    pub component: String,
-    /// What the event is for.
-    pub split: Split,
-    /// What was found.
-    pub found: Found,
-}
-
 /// What was found of one component of one event.
-#[derive(Debug)]
-pub enum Found {
+enum Found {
     /// A sound record.
     Record(Record),
     /// This file is not there.
@@ -59,12 +45,11 @@ pub enum Found {
     Unsound(Error),
 }
 
-/// Reads every event and component of `settings` from `dir`, whatever is wrong with others; `input` and `outputs` are the sensor names of
-/// the manifest.
+/// Reads every event and component of `settings` from `dir`; `input` and `outputs` are the sensor names of the manifest.
 ///
 /// # Errors
-/// When the format or the folder is not there.
-pub fn survey(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[String]) -> Result<Vec<Asked>> {
+/// Everything that is wrong at once: the format, the folder or all components of an event are missing, or files are no sound records.
+pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[String]) -> Result<Records> {
     let name = if settings.format == "twin" { "csv" } else { &settings.format };
     let format = (registry::find("record format", FORMATS, name)?.build)(settings.options.clone())
         .map_err(|e| e.at("`records.options`"))?;
@@ -76,32 +61,26 @@ pub fn survey(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[Str
         .events()
         .flat_map(|(event, split)| settings.components.iter().map(move |component| (event, split, component)))
         .collect();
-    let read = |(event, split, component): &(&str, Split, &String)| {
+    let read = |(event, _, component): &(&str, Split, &String)| {
         let request = Request { dir, event, component, unit: settings.unit, input, outputs };
-        let found = read_one(format.as_ref(), &request);
-        Asked { event: (*event).into(), component: (*component).clone(), split: *split, found }
+        read_one(format.as_ref(), &request)
     };
-    Ok(all.par_iter().map(read).collect())
-}
-
-/// All records of `settings` as [`survey`] finds them.
-///
-/// # Errors
-/// Everything that is wrong at once: the folder or all components of an event are missing, or files are no sound records.
-pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[String]) -> Result<Records> {
+    let found: Vec<Found> = all.par_iter().map(read).collect();
     let mut read = Records { records: Vec::new(), missing: Vec::new() };
     let mut wrong = Vec::new();
-    for Asked { event, component, split, found } in survey(settings, dir, input, outputs)? {
+    for ((event, split, component), found) in all.into_iter().zip(found) {
         match found {
             Found::Record(record) => read.records.push((split, record)),
-            Found::Missing(file) => read.missing.push(Missing { event, component, file }),
+            Found::Missing(file) => {
+                read.missing.push(Missing { event: event.into(), component: component.clone(), file })
+            }
             Found::Unsound(error) => wrong.push((event, error)),
         }
     }
     for (event, _) in settings.events() {
-        let is_there = read.records.iter().any(|(_, r)| r.event == event) || wrong.iter().any(|(e, _)| e == event);
+        let is_there = read.records.iter().any(|(_, r)| r.event == event) || wrong.iter().any(|(e, _)| *e == event);
         if !is_there {
-            wrong.push((event.into(), nothing_found(event, &read.missing, dir)));
+            wrong.push((event, nothing_found(event, &read.missing, dir)));
         }
     }
     Error::all(wrong.into_iter().map(|(_, error)| error).collect()).map(|()| read)
@@ -124,7 +103,7 @@ fn read_one(format: &dyn Format, request: &Request) -> Found {
 }
 
 /// That none of the files of an event, which are among the `missing` ones, is in `dir`.
-pub fn nothing_found(event: &str, missing: &[Missing], dir: &Path) -> Error {
+fn nothing_found(event: &str, missing: &[Missing], dir: &Path) -> Error {
     let files: Vec<String> = missing
         .iter()
         .filter(|m| m.event == event)

@@ -10,7 +10,7 @@ mod record;
 mod remarks;
 mod settings;
 
-pub use load::{Asked, Found, Missing, Records, load, nothing_found, survey};
+pub use load::{Missing, Records, load};
 pub use noise::{Noise, add_noise};
 pub use record::{Record, Sensor};
 pub use remarks::remarks;
