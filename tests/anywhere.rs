@@ -95,6 +95,31 @@ fn a_profile_and_records_make_a_manifest_that_checks() {
 }
 
 #[test]
+fn records_of_an_agency_make_a_manifest_that_checks() {
+    let folder = measurements();
+    let here = folder.path();
+    let agency = here.join("agency");
+    fs::create_dir(&agency).expect("a folder");
+    let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/record_formats/20210301_cosmos.v2");
+    for event in ["2021-03-01", "2021-03-02", "2021-03-03"] {
+        fs::copy(&source, agency.join(format!("{event}.v2"))).expect("copied");
+    }
+    let init = ["init", "array", "--profile", "profile.csv", "--records", "agency"];
+    let (status, _, stderr) = said(here, &init);
+    assert!(status == 2 && stderr.contains("--channel SENSOR.COMPONENT=NAME"), "{stderr}");
+    assert!(stderr.contains("`2021-03-01.v2:3` (20°"), "{stderr}");
+    let channels = ["base.NS=1", "base.EW=2", "top.NS=3", "top.EW=4"].iter().flat_map(|c| ["--channel", *c]);
+    let depths = ["base=10", "top=0"].iter().flat_map(|d| ["--sensor", *d]);
+    let init: Vec<&str> = init.into_iter().chain(channels).chain(depths).collect();
+    let (status, _, stderr) = said(here, &init);
+    assert_eq!(status, 0, "{stderr}");
+    let (status, _, stderr) = said(here, &["check", "array.toml"]);
+    assert!(status == 0 && stderr.contains("`2021-03-01.v2:3` turned from 20° to 0°"), "{stderr}");
+    let (_, stdout, _) = said(here, &["records", "array.toml"]);
+    assert!(stdout.contains("2021-03-01T07:30:15") && stdout.contains("0.449"), "{stdout}");
+}
+
+#[test]
 fn every_fault_of_every_record_is_told_before_anything_runs() {
     let folder = measurements();
     let here = folder.path();
@@ -109,7 +134,7 @@ fn every_fault_of_every_record_is_told_before_anything_runs() {
     fs::remove_file(path("2021-07-30")).expect("removed");
     let (status, _, stderr) = said(here, &["check", "mine.toml"]);
     assert_eq!(status, 2);
-    for part in ["2019-03-11.EW.csv", "no column `G10`", "`2021-07-30.EW.csv` is in", "3 problems"] {
+    for part in ["2019-03-11.EW.csv", "no channel `G10`", "`2021-07-30.EW.csv` is in", "3 problems"] {
         assert!(stderr.contains(part), "`{part}` in\n{stderr}");
     }
     change("2020-01-05", "# unit: g\n", "");

@@ -3,7 +3,7 @@
 use super::output::{data, say, write_json};
 use crate::error::{Context, Error, Result};
 use crate::manifest::{self, Draft, DraftRecords, profile_table};
-use crate::records::{csv, kiknet};
+use crate::records::{self, RecordSettings, Source, csv, kiknet};
 use crate::units::AccelerationUnit;
 use clap::Args;
 use serde_json::json;
@@ -18,9 +18,12 @@ pub struct InitArguments {
     /// Table of the layers: `thickness_m` (or `depth_m` of their tops), `vs_m_s`, `density_kg_m3`, …, or text of PySeismoSoil
     #[arg(long, value_name = "FILE")]
     profile: PathBuf,
-    /// Folder of records: `EVENT.COMPONENT.csv`, or raw KiK-net files
+    /// Folder of records: `EVENT.COMPONENT.csv`, raw KiK-net files, or a file, folder or archive an event in any other format
     #[arg(long, value_name = "DIR")]
     records: Option<PathBuf>,
+    /// Channel of a sensor's component where file names do not say it, for example --channel surface.NS='*.HNN' (repeatable)
+    #[arg(long = "channel", value_name = "SENSOR.COMPONENT=NAME")]
+    channels: Vec<String>,
     /// Unit of CSV records that do not say it: g, gal or m/s2
     #[arg(long, value_name = "UNIT")]
     unit: Option<String>,
@@ -51,7 +54,8 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     }
     let unit = arguments.unit.as_deref().map(AccelerationUnit::named).transpose().map_err(Error::usage)?;
     let mut depths = arguments.sensors.iter().map(|text| depth(text)).collect::<Result<Vec<_>>>()?;
-    let folder = arguments.records.as_deref().map(scan).transpose()?;
+    let named = arguments.channels.iter().map(|text| channel(text)).collect::<Result<Vec<_>>>()?;
+    let folder = arguments.records.as_deref().map(|dir| scan(dir, &named, unit)).transpose()?;
     if let Some(folder) = &folder {
         depths = folder.sensors(depths)?;
     }
@@ -73,8 +77,7 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         let depth_m = layers.iter().map(|l| l.thickness_m).sum();
         depths = vec![("base".into(), depth_m), ("surface".into(), 0.0)];
     }
-    if let Some(folder) = folder.as_ref().filter(|folder| folder.format == "csv" && !folder.says_unit && unit.is_none())
-    {
+    if let Some(folder) = folder.as_ref().filter(|folder| !folder.says_unit && unit.is_none()) {
         let hint = "add `--unit g`, `--unit gal` or `--unit m/s2`";
         let what = format!("the records in `{}` do not say their unit", folder.dir.display());
         return Err(Error::new(what).hint(hint).usage());
@@ -85,7 +88,8 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     let records = folder.map(|folder| DraftRecords {
         format: folder.format.into(),
         dir: relative(&folder.dir, path.parent().unwrap_or(Path::new(""))),
-        unit: unit.filter(|_| folder.format == "csv"),
+        unit: unit.filter(|_| !folder.says_unit),
+        channels: named,
         components: folder.components.into_iter().collect(),
         events: folder.events.into_iter().collect(),
     });
@@ -115,6 +119,20 @@ fn depth(text: &str) -> Result<(String, f64)> {
     text.split_once('=').and_then(read).ok_or_else(wrong)
 }
 
+fn channel(text: &str) -> Result<[String; 3]> {
+    let parts = text.split_once('=').and_then(|(role, name)| Some((role.rsplit_once('.')?, name)));
+    let part = |text: &str| text.trim().to_string();
+    match parts {
+        Some(((sensor, component), name)) if ![sensor, component, name].iter().any(|text| text.trim().is_empty()) => {
+            Ok([part(sensor), part(component), part(name)])
+        }
+        _ => {
+            let what = format!("`--channel {text}` is of no sensor and component");
+            Err(Error::new(what).hint("write `--channel surface.NS='*.HNN'`").usage())
+        }
+    }
+}
+
 /// What a folder of records holds.
 struct Folder {
     dir: PathBuf,
@@ -128,31 +146,31 @@ struct Folder {
     channels: Vec<(String, Option<f64>)>,
 }
 
-fn scan(dir: &Path) -> Result<Folder> {
-    let entries =
-        std::fs::read_dir(dir).context(|| format!("cannot read `{}`", dir.display())).map_err(Error::usage)?;
-    let mut files: Vec<PathBuf> = entries.filter_map(|e| Some(e.ok()?.path())).filter(|p| p.is_file()).collect();
-    files.sort();
-    let csv_name = |path: &PathBuf| {
-        let (event, component) = path.file_name()?.to_str()?.strip_suffix(".csv")?.rsplit_once('.')?;
+fn scan(dir: &Path, named: &[[String; 3]], unit: Option<AccelerationUnit>) -> Result<Folder> {
+    let folder = records::Folder::open(dir).map_err(Error::usage)?;
+    let csv_name = |source: &Source| {
+        let (event, component) = source.name.strip_suffix(".csv")?.rsplit_once('.')?;
         Some((event.to_string(), component.to_string()))
     };
-    let kiknet_name = |path: &PathBuf| {
-        let (event, channel) = path.file_name()?.to_str()?.rsplit_once('.')?;
+    let kiknet_name = |source: &Source| {
+        let (event, channel) = source.name.rsplit_once('.')?;
         let component = channel.strip_suffix(['1', '2'])?;
         ["NS", "EW"].contains(&component).then(|| (event.to_string(), component.to_string()))
     };
-    let names = |of: &dyn Fn(&PathBuf) -> Option<(String, String)>| files.iter().filter_map(of).unzip();
+    if !named.is_empty() {
+        return by_channel(dir, &folder, named, unit);
+    }
+    let names = |of: &dyn Fn(&Source) -> Option<(String, String)>| folder.sources().iter().filter_map(of).unzip();
     let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&csv_name);
     let (vertical, components): (BTreeSet<String>, _) = components.into_iter().partition(|c| is_vertical(c));
-    if let Some(first) = files.iter().find(|p| csv_name(p).is_some()) {
-        let channels = csv::channel_names(first)?.into_iter().map(|name| (name, None)).collect();
-        let says_unit = csv::unit_in(first).map_err(Error::usage)?.is_some();
+    if let Some(first) = folder.sources().iter().find(|source| csv_name(source).is_some()) {
+        let channels = csv::channel_names(&first.path)?.into_iter().map(|name| (name, None)).collect();
+        let says_unit = csv::unit_in(&first.path).map_err(Error::usage)?.is_some();
         return Ok(Folder { dir: dir.into(), format: "csv", events, components, vertical, says_unit, channels });
     }
     let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&kiknet_name);
-    if let Some(first) = files.iter().find(|p| kiknet_name(p).is_some()) {
-        let depth_m = kiknet::borehole_depth_m(first);
+    if let Some(first) = folder.sources().iter().find(|source| kiknet_name(source).is_some()) {
+        let depth_m = kiknet::borehole_depth_m(&first.path);
         let channels = vec![("borehole".to_string(), depth_m), ("surface".to_string(), Some(0.0))];
         return Ok(Folder {
             dir: dir.into(),
@@ -164,8 +182,56 @@ fn scan(dir: &Path) -> Result<Folder> {
             channels,
         });
     }
-    let hint = "records are `EVENT.COMPONENT.csv`, for example `2019-03-11.EW.csv`, or raw KiK-net files";
-    Err(Error::new(format!("there are no records in `{}`", dir.display())).hint(hint).usage())
+    by_channel(dir, &folder, named, unit)
+}
+
+/// A folder whose channels are `named`, each event being a file, a folder or an archive.
+fn by_channel(
+    dir: &Path,
+    folder: &records::Folder,
+    named: &[[String; 3]],
+    unit: Option<AccelerationUnit>,
+) -> Result<Folder> {
+    let settings = RecordSettings { unit, ..RecordSettings::any() };
+    let (mut events, mut first) = (BTreeSet::new(), Vec::new());
+    for event in folder.sources().iter().map(Source::event).collect::<BTreeSet<_>>() {
+        let found = records::channels(&settings, dir, event).map_err(Error::usage)?;
+        if found.is_empty() {
+            continue;
+        }
+        events.insert(event.to_string());
+        if first.is_empty() {
+            first = found;
+        }
+    }
+    if events.is_empty() {
+        let hint = "`flare-pipe list formats` names what can be read; CSV files are called `EVENT.COMPONENT.csv`";
+        return Err(Error::new(format!("there are no records in `{}`", dir.display())).hint(hint).usage());
+    }
+    if named.is_empty() {
+        let seen: Vec<String> = first.iter().map(records::Channel::described).collect();
+        let hint = format!(
+            "add `--channel SENSOR.COMPONENT=NAME` for each sensor and component; there are {}",
+            seen.join(", ")
+        );
+        return Err(Error::new("the records do not say which channel is which sensor").hint(hint).usage());
+    }
+    let depth_m = |sensor: &str| {
+        let mut of_sensor =
+            named.iter().filter(|[s, ..]| s == sensor).filter_map(|[.., name]| glob::Pattern::new(name).ok());
+        of_sensor
+            .find_map(|pattern| first.iter().find(|c| pattern.matches(&c.name) || pattern.matches(&c.path()))?.depth_m)
+    };
+    let sensors: BTreeSet<&String> = named.iter().map(|[sensor, ..]| sensor).collect();
+    Ok(Folder {
+        dir: dir.into(),
+        format: records::ANY,
+        events,
+        components: named.iter().map(|[_, component, _]| component.clone()).collect(),
+        vertical: BTreeSet::new(),
+        says_unit: unit.is_none(),
+        channels: sensors.into_iter().map(|sensor| (sensor.clone(), depth_m(sensor))).collect(),
+    })
 }
 
 /// Whether a component is vertical by the names in use: `UD`, `Z`, `UP`, `HNZ`, …

@@ -4,7 +4,7 @@ use super::output::{data, write_json};
 use crate::effects::{self, EFFECTS};
 use crate::error::Result;
 use crate::pipeline::Recipe;
-use crate::records::FORMATS;
+use crate::records::{ANY, FORMATS};
 use crate::registry;
 use crate::soil::LAWS;
 use crate::stages::{PIPELINES, STAGES};
@@ -71,7 +71,10 @@ pub fn list(arguments: &ListArguments, json: bool) -> Result<()> {
         What::Formats => FORMATS
             .iter()
             .map(|e| of_schema(e.name, e.about, &(e.schema)()))
-            .chain([plain("twin", "synthetic records of a truth the manifest does not declare")])
+            .chain([
+                plain(ANY, "all of these, each file told by its content"),
+                plain("twin", "synthetic records of a truth the manifest does not declare"),
+            ])
             .collect(),
         What::Stages => STAGES.iter().map(|s| plain(s.kind(), s.about())).collect(),
         What::Pipelines => {

@@ -87,6 +87,7 @@ fn assumed(site: &Site, noise: f64) -> Result<Bench<'static>> {
         validation: named(true),
         test: Vec::new(),
         noise: Some(DeclaredNoise { rms_share: Some(noise), floor_m_s2: None }),
+        channels: Default::default(),
         options: Table::new(),
         components,
     };

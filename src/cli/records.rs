@@ -16,6 +16,9 @@ pub struct Row {
     event: String,
     component: String,
     split: Split,
+    /// Time of the first sample, UTC, where the files say it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    start: Option<String>,
     #[serde(flatten)]
     content: Option<Content>,
     /// What is odd, or missing.
@@ -40,7 +43,7 @@ struct Content {
     band_hz: Option<[f64; 2]>,
 }
 
-/// Prints event, component, split, step, duration, peaks, band with signal and remarks of every record.
+/// Prints event, component, split, start, step, duration, peaks, band with signal and remarks of every record.
 ///
 /// # Errors
 /// Everything that is wrong with the files at once.
@@ -62,15 +65,18 @@ pub fn inventory(manifest: &Manifest) -> Result<Vec<Row>> {
     }
     let read = records::load(settings, dir, &sensors.input, &sensors.names()).map_err(Error::usage)?;
     let row = |split, event: &str, component: &String| {
-        let record = read.records.iter().map(|(_, r)| r).find(|r| r.event == event && r.component == *component);
+        let mut of_record = read.records.iter().map(|(_, r)| r).zip(&read.origins);
+        let (record, origin) = of_record.find(|(r, _)| r.event == event && r.component == *component).unzip();
         let missing = read.missing.iter().filter(|m| m.event == event && m.component == *component);
         let absent = missing.map(|m| format!("not there: `{}`", m.file.display()));
+        let of_files = origin.map(|origin| origin.remarks.iter().cloned()).into_iter().flatten();
         Row {
             event: event.into(),
             component: component.clone(),
             split,
+            start: origin.and_then(|origin| origin.start).map(|start| start.to_string()),
             content: record.map(|record| content(record, settings)),
-            remarks: record.map(records::remarks).into_iter().flatten().chain(absent).collect(),
+            remarks: record.map(records::remarks).into_iter().flatten().chain(of_files).chain(absent).collect(),
         }
     };
     let of_event = |(event, split)| settings.components.iter().map(move |component| (split, event, component));
@@ -99,27 +105,30 @@ fn print(manifest: &Manifest, rows: &[Row]) -> Result<()> {
     let width = rows.iter().map(|row| row.event.chars().count()).max().unwrap_or(0).max(5);
     let peaks: Vec<String> = sensors.iter().map(|name| format!("{name:>9}")).collect();
     data!(
-        "{:width$}  {:4}  {:10}  {:>7}  {:>8}  {}  {:>12}  remarks",
+        "{:width$}  {:4}  {:10}  {:19}  {:>7}  {:>8}  {}  {:>12}  remarks",
         "event",
         "comp",
         "split",
+        "start UTC",
         "step s",
         "length s",
         peaks.join("  "),
         "band Hz"
     )?;
-    for Row { event, component, split, content, remarks } in rows {
+    for Row { event, component, split, start, content, remarks } in rows {
         let split = format!("{split:?}").to_lowercase();
         let remarks = remarks.join("; ");
         let Some(Content { step_s, duration_s, peak_m_s2, band_hz }) = content else {
             data!("{event:width$}  {component:4}  {split:10}  {remarks}")?;
             continue;
         };
+        let start = start.as_deref().unwrap_or("–");
+        let start = start.get(..19).unwrap_or(start);
         let peaks: Vec<String> =
             sensors.iter().map(|name| format!("{:>w$.3}", peak_m_s2[*name], w = name.chars().count().max(9))).collect();
         let band = band_hz.map_or("–".to_string(), |[low, high]| format!("{low:.1}–{high:.1}"));
         data!(
-            "{event:width$}  {component:4}  {split:10}  {step_s:>7}  {duration_s:>8.1}  {}  {band:>12}  {remarks}",
+            "{event:width$}  {component:4}  {split:10}  {start:19}  {step_s:>7}  {duration_s:>8.1}  {}  {band:>12}  {remarks}",
             peaks.join("  ")
         )?;
     }

@@ -37,6 +37,8 @@ pub struct DraftRecords {
     pub unit: Option<AccelerationUnit>,
     /// Horizontal components.
     pub components: Vec<String>,
+    /// Sensor, component and the name of its channel, where the names of files do not say it.
+    pub channels: Vec<[String; 3]>,
     /// Events, in the order in which they are split.
     pub events: Vec<String>,
 }
@@ -139,6 +141,21 @@ impl Draft {
         say(format_args!("validation = [{}]", list(&validation)));
         say(format_args!("# Held out: opened once, when errors before and after are compared."));
         say(format_args!("test = [{}]\n", list(&test)));
+        if !records.channels.is_empty() {
+            say(format_args!(
+                "# Which channel is which: its name, that of its file, or FILE:CHANNEL; `*` stands for anything."
+            ));
+            say(format_args!("[records.channels]"));
+            let mut sensors: Vec<&String> = records.channels.iter().map(|[sensor, ..]| sensor).collect();
+            sensors.dedup();
+            for sensor in sensors {
+                let of = records.channels.iter().filter(|[s, ..]| s == sensor);
+                let pairs: Vec<String> =
+                    of.map(|[_, component, name]| format!("{} = {}", key(component), quoted(name))).collect();
+                say(format_args!("{} = {{ {} }}", key(sensor), pairs.join(", ")));
+            }
+            say(format_args!(""));
+        }
     }
 
     /// Elements of each layer.
@@ -169,6 +186,12 @@ fn split(events: &[String]) -> [Vec<String>; 3] {
 
 fn quoted(text: &str) -> String {
     toml::Value::from(text).to_string()
+}
+
+/// A name as TOML reads it as a key.
+fn key(text: &str) -> String {
+    let is_bare = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+    if text.chars().all(is_bare) { text.into() } else { quoted(text) }
 }
 
 /// A number as TOML reads it as one.

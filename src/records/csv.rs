@@ -3,8 +3,9 @@
 //! Columns are found by name, in any order; further columns are left alone; lines that start with `#` are comments. One of those above the
 //! header may say the unit: `# unit: gal`.
 
-use super::record::{Record, Sensor};
-use super::{Format, Request};
+use super::channel::Channel;
+use super::record::Record;
+use super::{Format, Reading, Role, Source, Usual};
 use crate::atomic;
 use crate::error::{Context, Error, Result};
 use crate::registry::{self, Entry, params};
@@ -28,25 +29,31 @@ pub(super) const ENTRY: Entry<dyn Format> = Entry {
 pub struct Csv {}
 
 impl Format for Csv {
-    fn files(&self, request: &Request) -> Vec<PathBuf> {
-        vec![path(request.dir, request.event, request.component)]
+    fn recognises(&self, name: &str, _: &[u8]) -> bool {
+        name.to_lowercase().ends_with(".csv")
     }
 
-    fn read(&self, request: &Request) -> Result<Record> {
-        let path = path(request.dir, request.event, request.component);
-        let mut names = vec![request.input];
-        names.extend(request.outputs.iter().map(String::as_str));
-        let mut table = read(&path, &names, request.unit)?;
-        let mut sensors =
-            names.iter().zip(table.channels.drain(..)).map(|(n, a)| Sensor { name: (*n).into(), acceleration_m_s2: a });
-        let input = sensors.next().ok_or_else(|| Error::new("a record needs an input sensor"))?;
-        Ok(Record {
-            event: request.event.into(),
-            component: request.component.into(),
-            dt_s: table.dt_s,
-            input,
-            outputs: sensors.collect(),
-        })
+    fn usual(&self, role: &Role) -> Result<Option<Usual>> {
+        let file = format!("{}.{}.csv", role.event, role.component);
+        Ok(Some(Usual { file, channel: role.sensor.into() }))
+    }
+
+    fn read(&self, source: &Source, bytes: &[u8], reading: &Reading) -> Result<Vec<Channel>> {
+        let unit = reading.unit(stated_unit(bytes)?)?;
+        let header = channels_in(bytes)?;
+        let mut names: Vec<&str> = header.iter().map(String::as_str).filter(|name| (reading.is_wanted)(name)).collect();
+        names.sort_unstable();
+        names.dedup();
+        let table = columns(bytes, &names, unit.m_s2())?;
+        let channel = |(name, values): (&&str, Vec<f64>)| Channel {
+            name: (*name).into(),
+            ..Channel::alone(&source.name, table.dt_s, values)
+        };
+        // Columns that no sensor is named by are told of by name alone.
+        let others = header.iter().filter(|name| !names.contains(&name.as_str()));
+        let unread =
+            others.map(|name| Channel { name: name.clone(), ..Channel::alone(&source.name, table.dt_s, vec![]) });
+        Ok(names.iter().zip(table.channels).map(channel).chain(unread).collect())
     }
 }
 
@@ -70,20 +77,9 @@ pub struct Table {
 /// As [`columns`]; when neither says the unit, or the two differ.
 pub fn read(path: &Path, names: &[&str], unit: Option<AccelerationUnit>) -> Result<Table> {
     let place = |e: Error| e.at(format!("`{}`", path.display()));
-    let unit = match (unit, unit_in(path)?) {
-        (Some(declared), Some(stated)) if declared != stated => {
-            let what = format!("the file says that it is in {stated}, but {declared} is declared");
-            return Err(place(
-                Error::new(what).hint("correct one of the two: `records.unit`, or the comment `# unit:`"),
-            ));
-        }
-        (declared, stated) => declared.or(stated),
-    };
-    let no_unit = || {
-        let hint = "set `records.unit` to `g`, `gal` or `m/s2`, or write `# unit: gal` above the header of the file";
-        place(Error::new("nothing says in what unit the accelerations are").hint(hint).usage())
-    };
-    columns(opened(path)?, names, unit.ok_or_else(no_unit)?.m_s2()).map_err(place)
+    let reading = Reading { unit, is_wanted: &|_| true, companions: &[] };
+    let unit = reading.unit(unit_in(path)?).map_err(place)?;
+    columns(opened(path)?, names, unit.m_s2()).map_err(place)
 }
 
 /// Names of the columns of the contract CSV at `path` beside the time.
@@ -91,10 +87,13 @@ pub fn read(path: &Path, names: &[&str], unit: Option<AccelerationUnit>) -> Resu
 /// # Errors
 /// When it cannot be read or has no column `time_s`.
 pub fn channel_names(path: &Path) -> Result<Vec<String>> {
-    let place = |e: Error| e.at(format!("`{}`", path.display())).usage();
-    let mut reader = reader(opened(path)?);
-    let header = reader.headers().map_err(unreadable).map_err(place)?;
-    let time = find_column(header, "time_s").map_err(place)?;
+    channels_in(opened(path)?).map_err(|e| e.at(format!("`{}`", path.display())).usage())
+}
+
+fn channels_in(source: impl Read) -> Result<Vec<String>> {
+    let mut reader = reader(source);
+    let header = reader.headers().map_err(unreadable)?;
+    let time = find_column(header, "time_s")?;
     Ok(header.iter().enumerate().filter(|(i, _)| *i != time).map(|(_, name)| name.to_string()).collect())
 }
 

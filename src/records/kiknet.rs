@@ -3,17 +3,22 @@
 //! Seventeen header lines (label to column 18, value after it), then integer counts, eight a line:
 //! `acceleration (gal) = count × scale − mean`. The header's peak is checked against the one that comes out.
 
-use super::record::{Record, Sensor};
-use super::{Format, Request};
-use crate::error::{Context, Error, Result};
+use super::channel::{Channel, Orientation};
+use super::text::{leading_number, shown};
+use super::{Format, Reading, Role, Source, Usual};
+use crate::error::{Error, Result};
 use crate::registry::{Entry, params};
 use crate::units::AccelerationUnit;
+use jiff::ToSpan as _;
+use jiff::civil::DateTime;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Lines before the counts.
 const N_HEADER: usize = 17;
+/// By how much the time in the header is later than the first sample, s.
+const TRIGGER_DELAY_S: i64 = 15;
 /// Columns of a header line taken by its label.
 const LABEL_WIDTH: usize = 18;
 
@@ -33,55 +38,44 @@ pub struct Kiknet {
     pub station: String,
 }
 
-impl Kiknet {
-    fn file(&self, request: &Request, place: u8) -> PathBuf {
-        request.dir.join(format!("{}{}.{}{place}", self.station, request.event, request.component))
-    }
-}
-
 impl Format for Kiknet {
-    fn files(&self, request: &Request) -> Vec<PathBuf> {
-        vec![self.file(request, 1), self.file(request, 2)]
+    fn recognises(&self, name: &str, head: &[u8]) -> bool {
+        let extension = name.rsplit_once('.').map_or("", |(_, extension)| extension);
+        let component = extension.strip_suffix(['1', '2']).unwrap_or(extension);
+        ["NS", "EW", "UD"].contains(&component) || head.starts_with(b"Origin Time ")
     }
 
-    fn read(&self, request: &Request) -> Result<Record> {
-        if request.unit.is_some_and(|unit| unit != AccelerationUnit::Gal) {
-            return Err(Error::new("raw KiK-net files hold gal, but the manifest declares another unit")
-                .hint("set `records.unit = \"gal\"`, or leave it out"));
+    fn stem(&self, event: &str) -> String {
+        format!("{}{event}", self.station)
+    }
+
+    fn usual(&self, role: &Role) -> Result<Option<Usual>> {
+        if role.n_output != 1 {
+            let what =
+                format!("a KiK-net station has one output sensor, the surface; the manifest names {}", role.n_output);
+            return Err(Error::new(what).hint("leave one `[[sensors.output]]` at depth 0"));
         }
-        let [surface] = request.outputs else {
-            return Err(Error::new(format!(
-                "a KiK-net station has one output sensor, the surface; the manifest names {}",
-                request.outputs.len()
-            ))
-            .hint("leave one `[[sensors.output]]` at depth 0"));
+        let place = if role.is_input { 1 } else { 2 };
+        let file = format!("{}.{}{place}", self.stem(role.event), role.component);
+        Ok(Some(Usual { channel: file.clone(), file }))
+    }
+
+    fn read(&self, source: &Source, bytes: &[u8], reading: &Reading) -> Result<Vec<Channel>> {
+        reading.unit(Some(AccelerationUnit::Gal))?;
+        let parsed = parse(&String::from_utf8_lossy(bytes))?;
+        let orientation = match source.name.rsplit_once('.').map_or("", |(_, e)| e.trim_end_matches(['1', '2'])) {
+            "NS" => Orientation::azimuth(0.0),
+            "EW" => Orientation::azimuth(90.0),
+            "UD" => Orientation::Vertical,
+            _ => Orientation::Unknown,
         };
-        let read = |place: u8| -> Result<Channel> {
-            let path = self.file(request, place);
-            let bytes = std::fs::read(&path).context(|| format!("cannot read `{}`", path.display()))?;
-            parse(&String::from_utf8_lossy(&bytes)).map_err(|e| e.at(format!("`{}`", path.display())))
-        };
-        let (below, above) = (read(1)?, read(2)?);
-        if below.dt_s != above.dt_s || below.record_time != above.record_time {
-            return Err(Error::new(format!(
-                "borehole and surface differ in start or step: {} at {} s against {} at {} s",
-                below.record_time, below.dt_s, above.record_time, above.dt_s
-            ))
-            .hint("both files must come from the same download of one event"));
-        }
-        // The two files can differ by a few trailing samples.
-        let n = below.acceleration_m_s2.len().min(above.acceleration_m_s2.len());
-        let sensor = |name: &str, mut a: Vec<f64>| {
-            a.truncate(n);
-            Sensor { name: name.into(), acceleration_m_s2: a }
-        };
-        Ok(Record {
-            event: request.event.into(),
-            component: request.component.into(),
-            dt_s: below.dt_s,
-            input: sensor(request.input, below.acceleration_m_s2),
-            outputs: vec![sensor(surface, above.acceleration_m_s2)],
-        })
+        let start = parsed.start();
+        Ok(vec![Channel {
+            about: parsed.station,
+            orientation,
+            start,
+            ..Channel::alone(&source.name, parsed.dt_s, parsed.acceleration_m_s2)
+        }])
     }
 }
 
@@ -98,7 +92,7 @@ pub fn borehole_depth_m(path: &Path) -> Option<f64> {
 
 /// One parsed file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Channel {
+pub struct Parsed {
     /// Station code of the header.
     pub station: String,
     /// `Record Time` of the header (JST, 15 s trigger delay included).
@@ -111,11 +105,19 @@ pub struct Channel {
     pub acceleration_m_s2: Vec<f64>,
 }
 
+impl Parsed {
+    /// Time of the first sample, UTC: the header's is Japanese, and later by the delay of the trigger.
+    fn start(&self) -> Option<DateTime> {
+        let stated = DateTime::strptime("%Y/%m/%d %H:%M:%S", self.record_time.trim()).ok()?;
+        stated.checked_sub(9.hours().seconds(TRIGGER_DELAY_S)).ok()
+    }
+}
+
 /// Parses the text of one file.
 ///
 /// # Errors
 /// When a header line or a count is not what the format says, or the peak is not the stated one; the line is named.
-pub fn parse(text: &str) -> Result<Channel> {
+pub fn parse(text: &str) -> Result<Parsed> {
     let lines: Vec<&str> = text.lines().collect();
     if lines.len() <= N_HEADER {
         return Err(Error::new(format!(
@@ -149,6 +151,13 @@ pub fn parse(text: &str) -> Result<Channel> {
         return Err(Error::new(format!("the file has {} counts, at least 3 are needed", counts.len()))
             .hint("download the file again; was it cut off?"));
     }
+    let length_s =
+        leading_number(value(12, "Duration Time(s)")?).ok_or_else(|| wrong(12, "a duration in s", lines[11]))?;
+    let expected = length_s * rate_hz;
+    if (counts.len() as f64 - expected).abs() > rate_hz {
+        let what = format!("the file has {} counts, {length_s} s at {rate_hz} Hz are {expected:.0}", counts.len());
+        return Err(Error::new(what).hint("download the file again; was it cut off?"));
+    }
     let mean = counts.iter().sum::<f64>() / counts.len() as f64;
     let peak_gal = counts.iter().fold(0.0f64, |m, c| m.max((c - mean).abs())) * scale_gal;
     if (peak_gal - stated_gal.abs()).abs() > 0.01 + 0.005 * stated_gal.abs() {
@@ -158,7 +167,7 @@ pub fn parse(text: &str) -> Result<Channel> {
         .hint("the file is damaged or cut off: download it again"));
     }
     let m_s2 = scale_gal * AccelerationUnit::Gal.m_s2();
-    Ok(Channel {
+    Ok(Parsed {
         station: value(6, "Station Code")?.into(),
         record_time: value(10, "Record Time")?.into(),
         dt_s: 1.0 / rate_hz,
@@ -170,16 +179,6 @@ pub fn parse(text: &str) -> Result<Channel> {
 fn wrong(line: usize, needed: &str, got: &str) -> Error {
     Error::new(format!("line {line} must hold {needed}, got `{}`", shown(got)))
         .hint("only raw KiK-net ASCII is read here; download the file again")
-}
-
-fn shown(text: &str) -> String {
-    text.chars().take(40).filter(|c| !c.is_control()).collect()
-}
-
-/// The number a text starts with: `100Hz` gives 100.
-fn leading_number(text: &str) -> Option<f64> {
-    let end = text.find(|c: char| !(c.is_ascii_digit() || ".+-eE".contains(c))).unwrap_or(text.len());
-    text[..end].parse().ok().filter(|v: &f64| v.is_finite())
 }
 
 /// `3923(gal)/8224838` in gal a count.

@@ -3,12 +3,14 @@
 use crate::units::AccelerationUnit;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// Measured (or twin) records (manifest section `[records]`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecordSettings {
-    /// `csv`, `kiknet`, … or `twin`, whose records are computed from `truth`.
+    /// `csv`, `kiknet`, `cosmos`, … (`flare-pipe list formats`), `any` where files are told by their content, or `twin`, whose records are
+    /// computed from `truth`.
     pub format: String,
     /// Folder of the files, relative to the manifest.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -30,10 +32,54 @@ pub struct RecordSettings {
     /// Noise of the sensors where it is known (`[records.noise]`); otherwise it is read off what was recorded before each event.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<DeclaredNoise>,
+    /// Which channel is which component of a sensor, where the names of the files do not say it (`[records.channels]`): for example
+    /// `surface = { NS = "*.HNN", EW = "*.HNE" }`. A pattern (`*`, `?`, `[ab]`) is for the name of a channel, that of a file, or
+    /// `FILE:CHANNEL`; a list of patterns where they differ between events.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub channels: BTreeMap<String, BTreeMap<String, Names>>,
     /// Parameters of the format (`[records.options]`).
     #[serde(default, skip_serializing_if = "toml::Table::is_empty")]
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     pub options: toml::Table,
+}
+
+/// Patterns for the name of a channel.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(try_from = "OneOrMore", into = "OneOrMore")]
+#[schemars(with = "OneOrMore")]
+pub struct Names(Vec<glob::Pattern>);
+
+impl Names {
+    /// The patterns.
+    pub fn patterns(&self) -> &[glob::Pattern] {
+        &self.0
+    }
+}
+
+#[derive(Clone, Serialize, Deserialize, JsonSchema)]
+#[serde(untagged)]
+enum OneOrMore {
+    One(String),
+    More(Vec<String>),
+}
+
+impl TryFrom<OneOrMore> for Names {
+    type Error = String;
+
+    fn try_from(names: OneOrMore) -> std::result::Result<Self, String> {
+        let texts = match names {
+            OneOrMore::One(text) => vec![text],
+            OneOrMore::More(texts) => texts,
+        };
+        let pattern = |text: String| glob::Pattern::new(&text).map_err(|e| format!("`{text}` is no pattern: {e}"));
+        texts.into_iter().map(pattern).collect::<std::result::Result<_, _>>().map(Self)
+    }
+}
+
+impl From<Names> for OneOrMore {
+    fn from(names: Names) -> Self {
+        Self::More(names.0.iter().map(|pattern| pattern.as_str().to_string()).collect())
+    }
 }
 
 /// White noise of every sensor: one of the two.
@@ -78,6 +124,23 @@ pub enum Split {
 }
 
 impl RecordSettings {
+    /// Settings by which the channels of any file are read.
+    pub fn any() -> Self {
+        Self {
+            format: super::ANY.into(),
+            dir: None,
+            unit: None,
+            truth: None,
+            components: Vec::new(),
+            train: Vec::new(),
+            validation: Vec::new(),
+            test: Vec::new(),
+            noise: None,
+            channels: BTreeMap::new(),
+            options: toml::Table::new(),
+        }
+    }
+
     /// All events with their split, in the order train, validation, test.
     pub fn events(&self) -> impl Iterator<Item = (&str, Split)> {
         [(&self.train, Split::Train), (&self.validation, Split::Validation), (&self.test, Split::Test)]
@@ -89,7 +152,7 @@ impl RecordSettings {
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut found = Vec::new();
         let mut say = |key: &str, what: String| found.push((key.to_string(), what));
-        let names: Vec<&str> = super::FORMATS.iter().map(|e| e.name).chain(["twin"]).collect();
+        let names: Vec<&str> = super::FORMATS.iter().map(|e| e.name).chain([super::ANY, "twin"]).collect();
         if self.format == "twin" {
             if self.truth.is_none() {
                 say("truth", "records of format `twin` need `truth`, the manifest of the twin".into());
@@ -126,6 +189,16 @@ impl RecordSettings {
                     ),
                 ),
                 None => seen.push((event, split)),
+            }
+        }
+        for (sensor, of) in &self.channels {
+            for component in of.keys().filter(|name| !self.components.contains(name)) {
+                let names: Vec<&str> = self.components.iter().map(String::as_str).collect();
+                let known = crate::registry::known(&names, component);
+                say(
+                    "channels",
+                    format!("`channels.{sensor}` has a component `{component}` that is not in `components`; {known}"),
+                );
             }
         }
         for (i, component) in self.components.iter().enumerate() {

@@ -6,8 +6,7 @@ use crate::effects::{self, Tolerances};
 use crate::error::{Error, Result};
 use crate::manifest::{ColumnSections, SensorsSection};
 use crate::pipeline::{Stage, Task};
-use crate::records::{self, FORMATS, Record, RecordSettings, Request};
-use crate::registry;
+use crate::records::{self, Record, RecordSettings};
 use crate::twin::{self, Truth};
 use crate::units::AccelerationUnit;
 use rayon::prelude::*;
@@ -27,7 +26,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -40,21 +39,11 @@ impl Stage for Records {
 
     fn files(&self, parameters: &Table, _: &Path) -> Result<Vec<PathBuf>> {
         let settings: RecordSettings = section(parameters, "records")?;
-        let sensors: SensorsSection = section(parameters, "sensors")?;
         let mut files: Vec<PathBuf> = settings.truth.iter().flat_map(|truth| Truth::files(Path::new(truth))).collect();
         if settings.format == "twin" {
             return Ok(files);
         }
-        let format = (registry::find("record format", FORMATS, &settings.format)?.build)(settings.options.clone())?;
-        let dir = PathBuf::from(settings.dir.clone().unwrap_or_default());
-        let outputs = sensors.names();
-        for (event, _) in settings.events() {
-            for component in &settings.components {
-                let input = &sensors.input;
-                let request = Request { dir: &dir, event, component, unit: settings.unit, input, outputs: &outputs };
-                files.extend(format.files(&request).into_iter().filter(|f| f.exists()));
-            }
-        }
+        files.extend(records::files(&settings, Path::new(settings.dir.as_deref().unwrap_or_default()))?);
         Ok(files)
     }
 
@@ -150,6 +139,7 @@ pub fn read(folder: &Path, settings: &RecordSettings, sensors: &SensorsSection) 
     let stored = RecordSettings {
         format: "csv".into(),
         unit: Some(AccelerationUnit::MetrePerSecondSquared),
+        channels: Default::default(),
         options: Table::new(),
         ..settings.clone()
     };
