@@ -2,7 +2,7 @@
 
 use super::output::{data, say, write_json};
 use crate::error::{Context, Error, Result};
-use crate::manifest::{self, Draft, DraftRecords, profile_table};
+use crate::manifest::{self, Draft, DraftRecords, profile_table, strata};
 use crate::records::{self, RecordSettings, Source, csv, kiknet};
 use crate::units::AccelerationUnit;
 use clap::Args;
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 pub struct InitArguments {
     /// Name of the site: lower-case letters, digits and hyphens
     name: String,
-    /// Table of the layers: `thickness_m` (or `depth_m` of their tops), `vs_m_s`, `density_kg_m3`, …, or text of PySeismoSoil
+    /// Table of the layers: `thickness_m` (or `depth_m` of their tops), `vs_m_s`, `density_kg_m3`, …, text of PySeismoSoil, or JSON of Strata
     #[arg(long, value_name = "FILE")]
     profile: PathBuf,
     /// Folder of records: `EVENT.COMPONENT.csv`, raw KiK-net files, or a file, folder or archive an event in any other format
@@ -96,7 +96,7 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     let draft = Draft {
         name: arguments.name.clone(),
         layers,
-        water_table_m: arguments.water_table_m,
+        water_table_m: arguments.water_table_m.or_else(|| water_table_m(&text)),
         sensors: depths,
         records,
     };
@@ -106,6 +106,11 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         path.display()
     );
     if as_json { write_json(&json!({ "manifest": path })) } else { data!("{}", path.display()) }
+}
+
+/// Depth of the water table that a project file of Strata says, m.
+fn water_table_m(text: &str) -> Option<f64> {
+    strata::is_project(text).then(|| strata::project(text).ok())??.water_table_m
 }
 
 fn depth(text: &str) -> Result<(String, f64)> {

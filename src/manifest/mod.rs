@@ -9,6 +9,7 @@ mod draft;
 mod resolve;
 mod schema;
 mod sections;
+pub mod strata;
 mod table;
 
 pub use check::is_site_name;

@@ -3,8 +3,9 @@
 //! A header names the columns, in any order: `thickness_m`, or `depth_m` of the top of each layer, `vs_m_s`, and, where known,
 //! `density_kg_m3`, `damping_ratio` and `plasticity_index`. Without a header the columns are those of PySeismoSoil: thickness (m), Vs (m/s),
 //! damping ratio, density (kg/m³), number of the material; a last line of no thickness is the half-space. Lines that start with `#` are
-//! comments; commas, semicolons, tabs and spaces separate.
+//! comments; commas, semicolons, tabs and spaces separate. A project file of Strata ([`strata`]) is taken as well.
 
+use super::strata;
 use crate::error::{Error, Result};
 use crate::registry::known;
 
@@ -36,6 +37,9 @@ const LARGEST_RATIO: f64 = 0.5;
 /// # Errors
 /// When a column is not known, a value is no number, or a layer has no thickness; the line is named.
 pub fn layers(text: &str, base_m: Option<f64>) -> Result<Vec<LayerRow>> {
+    if strata::is_project(text) {
+        return cut(strata::project(text)?.layers, base_m);
+    }
     let rows: Vec<(usize, Vec<&str>)> = text
         .trim_start_matches('\u{feff}')
         .lines()
