@@ -110,7 +110,7 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     }
 
     let report = fs::read_to_string(place.path("runs/smoke/report.html")).expect("a report");
-    assert!(report.contains("The declared model lacks sensor orientation (surface)"));
+    assert!(report.contains("Known: sensor orientation (surface)"));
     let corrected = place.path("runs/smoke/site.corrected.toml");
     let mut check = Command::cargo_bin("flare-pipe").expect("the program is built");
     check.current_dir(env!("CARGO_MANIFEST_DIR")).arg("check").arg(&corrected).assert().success();

@@ -5,7 +5,7 @@ mod report_sample;
 use flare_pipe::report::{self, Content, content::*};
 
 /// Elements that have no end tag in HTML.
-const VOID: [&str; 3] = ["meta", "link", "br"];
+const VOID: [&str; 4] = ["meta", "link", "br", "input"];
 
 /// Walks all tags and panics at the first one that is not closed in order; returns the names of all elements.
 fn elements(html: &str) -> Vec<String> {
@@ -57,8 +57,39 @@ fn the_whole_report_is_balanced_and_small() {
 }
 
 #[test]
+fn a_closed_loop_shows_the_site_and_every_model_at_every_event() {
+    let content = report_sample::closed();
+    let html = report::render(&content).unwrap();
+    elements(&html);
+    assert!(html.len() < 8_000_000, "{} bytes", html.len());
+    for part in [
+        "FE as declared",
+        "FE recalibrated",
+        "FE corrected",
+        "FLARE-T before",
+        "FLARE-T after",
+        "Vs30",
+        "Soil column of 17 m",
+    ] {
+        let is_there = html.contains(part);
+        assert_eq!(is_there, part != "Vs30", "`{part}`");
+    }
+    // A runaway model, an absent one and an event without sensors leave gaps and no panic.
+    let mut odd = content.clone();
+    odd.events[0].sensors[0].models[2].history.values.fill(f64::NAN);
+    odd.events[0].sensors[0].models[3].psa_m_s2.fill(f64::INFINITY);
+    odd.events[1].sensors.clear();
+    odd.events[2].sensors[1].models.retain(|m| m.model != "record");
+    odd.events[3].input.values.clear();
+    odd.transfers[0].recorded_ln.fill(f64::NAN);
+    odd.residuals[0].models.clear();
+    odd.site_view.as_mut().unwrap().layers.clear();
+    elements(&report::render(&odd).unwrap());
+}
+
+#[test]
 fn nothing_is_loaded_from_elsewhere_and_nothing_runs() {
-    let html = report::render(&report_sample::content()).unwrap();
+    let html = report::render(&report_sample::closed()).unwrap();
     for forbidden in ["http:", "https:", "//cdn", "<script", "<iframe", "<object", "@import", "url(", " onload", "<img"]
     {
         assert!(!html.contains(forbidden), "found `{forbidden}`");
@@ -70,7 +101,12 @@ fn nothing_is_loaded_from_elsewhere_and_nothing_runs() {
 
 #[test]
 fn every_entry_of_the_contents_has_its_target_and_ids_are_unique() {
-    let html = report::render(&report_sample::content()).unwrap();
+    for content in [report_sample::content(), report_sample::closed()] {
+        targets(&report::render(&content).unwrap());
+    }
+}
+
+fn targets(html: &str) {
     let mut ids: Vec<&str> = html.split(" id=\"").skip(1).map(|s| &s[..s.find('"').unwrap()]).collect();
     for link in html.split("href=\"#").skip(1).map(|s| &s[..s.find('"').unwrap()]) {
         assert!(ids.contains(&link), "no target `{link}`");
@@ -83,7 +119,7 @@ fn every_entry_of_the_contents_has_its_target_and_ids_are_unique() {
 
 #[test]
 fn the_same_content_gives_the_same_bytes() {
-    let content = report_sample::content();
+    let content = report_sample::closed();
     let first = report::render(&content).unwrap();
     let thread = std::thread::spawn(move || report::render(&content).unwrap());
     assert!(first == thread.join().unwrap());
@@ -91,7 +127,7 @@ fn the_same_content_gives_the_same_bytes() {
 
 #[test]
 fn content_survives_json() {
-    let content = report_sample::content();
+    let content = report_sample::closed();
     let text = serde_json::to_string(&content).unwrap();
     assert!(serde_json::from_str::<Content>(&text).unwrap() == content);
 }
@@ -99,7 +135,7 @@ fn content_survives_json() {
 #[test]
 fn hostile_names_stay_text() {
     let evil = "<script>alert(1)</script>\"'&<b>\u{0}$x^2$";
-    let mut content = report_sample::content();
+    let mut content = report_sample::closed();
     content.site = evil.into();
     content.description = vec![evil.into()];
     content.notices = vec![evil.into()];
@@ -113,6 +149,18 @@ fn hostile_names_stay_text() {
         prediction.traces.iter_mut().for_each(|t| t.sensor = evil.into());
         prediction.timewise_percent.iter_mut().for_each(|t| t.sensor = evil.into());
     }
+    for event in &mut content.events {
+        event.event = evil.into();
+        event.component = evil.into();
+        event.sensors.iter_mut().for_each(|s| s.sensor = evil.into());
+    }
+    content.transfers[0].sensor = evil.into();
+    content.residuals[0].sensor = evil.into();
+    let site = content.site_view.as_mut().unwrap();
+    site.sensors[1].name = evil.into();
+    site.layers[1].law = evil.into();
+    site.facts = vec![(evil.into(), evil.into())];
+    site.events[0].event = evil.into();
     for score in &mut content.scores {
         score.event = evil.into();
         score.sensor = evil.into();

@@ -42,7 +42,7 @@ pub use quartiles::{Quartiles, median, quantile};
 pub use r2::{r2, r2_pooled};
 pub use student::{PairedDifference, t_quantile};
 pub use timewise::timewise_error_percent;
-pub use transfer::{GOOD_FIT, HIGH_VARIABILITY, SensorTransfer, TransferFit, pearson};
+pub use transfer::{GOOD_FIT, HIGH_VARIABILITY, SensorTransfer, TransferCurves, TransferFit, pearson};
 
 /// Root mean square of a series; zero for an empty one.
 pub fn rms(x: &[f64]) -> f64 {

@@ -89,6 +89,43 @@ fn is_peak(frequencies_hz: &[f64], theory: &[f64], k: usize) -> bool {
     is_inside && theory[k] > theory[k - 1].max(theory[k + 1]) && neighbours.all(|i| theory[k] >= theory[i])
 }
 
+/// Transfer functions of one sensor over its input: ln amplitudes, recorded and predicted, as means over events.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct TransferCurves {
+    /// Frequencies, Hz.
+    pub frequencies_hz: Vec<f64>,
+    /// Mean of the recorded ln amplitude.
+    pub recorded_ln: Vec<f64>,
+    /// Standard deviation of the recorded ln amplitude between events; empty with fewer than two.
+    pub recorded_sigma_ln: Vec<f64>,
+    /// Mean of the predicted ln amplitude by model, over the events that have it.
+    pub predicted_ln: BTreeMap<String, Vec<f64>>,
+    /// Events behind the recorded mean.
+    pub n_event: usize,
+}
+
+impl TransferCurves {
+    /// Of ln amplitudes at `frequencies_hz`, `[n_event][n_f]` each; `predicted` by model.
+    pub fn of(frequencies_hz: &[f64], recorded: &[Vec<f64>], predicted: BTreeMap<String, Vec<Vec<f64>>>) -> Self {
+        let n = frequencies_hz.len();
+        let recorded_ln = mean(recorded, n);
+        let deviation = |k: usize| {
+            let squares: f64 = recorded.iter().map(|e| (e[k] - recorded_ln[k]).powi(2)).sum();
+            (squares / (recorded.len() - 1) as f64).sqrt()
+        };
+        let recorded_sigma_ln = if recorded.len() < 2 { Vec::new() } else { (0..n).map(deviation).collect() };
+        let predicted = predicted.into_iter().filter(|(_, events)| !events.is_empty());
+        let predicted_ln = predicted.map(|(model, events)| (model, mean(&events, n))).collect();
+        Self {
+            frequencies_hz: frequencies_hz.to_vec(),
+            recorded_ln,
+            recorded_sigma_ln,
+            predicted_ln,
+            n_event: recorded.len(),
+        }
+    }
+}
+
 /// One sensor in one component: the fit of each model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct SensorTransfer {
@@ -98,6 +135,9 @@ pub struct SensorTransfer {
     pub sensor: String,
     /// By model; `None` where too few weak events have it.
     pub models: BTreeMap<String, Option<TransferFit>>,
+    /// The curves behind it; of no events where none is weak.
+    #[serde(default)]
+    pub curves: TransferCurves,
 }
 
 /// Pearson's coefficient of correlation; NaN where a series is constant, or the lengths differ.

@@ -8,6 +8,10 @@ use super::figure::{Section, color_bar, figure};
 use super::heat::{self, Diverging, HeatLook};
 use super::{losses, number};
 
+/// Widest drawing of a matrix, and room for the name of a column, px.
+const WIDEST_PX: f64 = 850.0;
+const LABEL_PX: f64 = 13.0;
+
 /// The section, if at least one component was calibrated.
 pub(super) fn section(content: &Content) -> Option<Section> {
     if content.calibrate.is_empty() {
@@ -42,14 +46,17 @@ fn matrices(stage: &Calibration) -> Markup {
         let rows: Vec<Vec<f64>> = matrix.iter().rev().cloned().collect();
         let frame = Frame {
             size: (
-                (n_column * 9.0).clamp(400.0, 1300.0) + 74.0,
-                n_row as f64 * 12.0 + if with_terms { 56.0 } else { 20.0 },
+                (n_column * 9.0).clamp(400.0, WIDEST_PX) + 74.0,
+                n_row as f64 * 14.0 + if with_terms { 56.0 } else { 20.0 },
             ),
             x: Axis { label: "", range: (0.5, n_column + 0.5), log: false },
             y: Axis { label: "", range: (0.5, n_row as f64 + 0.5), log: false },
             alt: format!("{what}, {n_row} equations by {} library terms", stage.terms.len()),
         };
-        let column_names = with_terms.then(|| stage.terms.clone());
+        // Of many terms every so many is named, or the names would be a black band.
+        let every = (n_column * LABEL_PX / WIDEST_PX).ceil().max(1.0) as usize;
+        let named = |(i, term): (usize, &String)| if i % every == 0 { term.clone() } else { String::new() };
+        let column_names = with_terms.then(|| stage.terms.iter().enumerate().map(named).collect());
         heat::heat(&frame, &rows, scale, HeatLook::Matrix { row_names: names.clone(), column_names })
     };
     let pictures = html! {
@@ -60,7 +67,7 @@ fn matrices(stage: &Calibration) -> Markup {
     };
     let kept = |m: &[Vec<f64>]| m.iter().flatten().filter(|v| **v != 0.0).count();
     let caption = html! {
-        "Coefficients of the latent dynamics, one row an equation, one column a library term; white is exactly zero. "
+        "Coefficients of the latent dynamics, one row an equation, one column a library term (of many, some are named); white is exactly zero. "
         "Terms in use: " (kept(&stage.before)) " before, " (kept(&stage.after)) " after, of " (n_row * stage.terms.len()) "."
         @if let Some(cosine) = stage.cosine_similarity {
             " Cosine similarity of the two: " b { (number::fixed(cosine, 4)) } "."
@@ -79,8 +86,8 @@ fn changes(stage: &Calibration) -> Markup {
         @if !all.is_empty() {
             details {
                 summary { "The largest of " (all.len()) " changes" }
-                table.narrow {
-                    thead { tr { th { "Equation" } th { "Term" } th.n { "Before" } th.n { "After" } th.n { "Change" } } }
+                div.scroll { table.narrow {
+                    thead { tr { th scope="col" { "Equation" } th scope="col" { "Term" } th.n scope="col" { "Before" } th.n scope="col" { "After" } th.n scope="col" { "Change" } } }
                     tbody {
                         @for (i, j, change) in all.iter().take(12) {
                             tr {
@@ -91,7 +98,7 @@ fn changes(stage: &Calibration) -> Markup {
                             }
                         }
                     }
-                }
+                } }
             }
         }
     }

@@ -1,5 +1,6 @@
 //! The kinds of figure the report draws: curves, boxes and dots, all in one style (heat maps stand in `heat`).
 
+use std::fmt::Write as _;
 use std::sync::Arc;
 
 use kuva::plot::annotations::{ReferenceLine, ShadedRegion};
@@ -118,8 +119,34 @@ pub(super) struct Marks {
     pub span: Option<(f64, f64)>,
 }
 
+/// Curves over a common frame with what a pointer held over a place along x reads.
+pub(super) fn curves_with_hints(frame: &Frame, curves: &[Curve], hints: &[(f64, String)]) -> Markup {
+    let [left, right, top, bottom] = MARGINS;
+    let place = |x: f64| {
+        let at = |v: f64| if frame.x.log { v.ln() } else { v };
+        let share = (at(x) - at(frame.x.range.0)) / (at(frame.x.range.1) - at(frame.x.range.0));
+        left + share.clamp(0.0, 1.0) * (frame.size.0 - left - right)
+    };
+    let middle = |i: usize| 0.5 * (place(hints[i].0) + place(hints[i + 1].0));
+    let mut below = String::new();
+    for (i, (x, words)) in hints.iter().enumerate() {
+        let from = if i == 0 { place(*x) } else { middle(i - 1) };
+        let to = if i + 1 == hints.len() { place(*x) } else { middle(i) };
+        let (width, height) = (to - from, frame.size.1 - top - bottom);
+        let _ =
+            write!(below, r#"<rect class="hint" x="{from:.1}" y="{top}" width="{width:.1}" height="{height}"><title>"#);
+        svg::escape(&mut below, words);
+        below.push_str("</title></rect>");
+    }
+    drawn(frame, curves, Marks::default(), &below)
+}
+
 /// Curves over a common frame, thinned to its width and cut at its upper and lower edge.
 pub(super) fn curves(frame: &Frame, curves: &[Curve], marks: Marks) -> Markup {
+    drawn(frame, curves, marks, "")
+}
+
+fn drawn(frame: &Frame, curves: &[Curve], marks: Marks, below: &str) -> Markup {
     let inside = |v: f64, (low, high): (f64, f64)| v >= low && v <= high;
     let mut plots = Vec::new();
     for curve in curves {
@@ -144,7 +171,7 @@ pub(super) fn curves(frame: &Frame, curves: &[Curve], marks: Marks) -> Markup {
     if let Some((from, to)) = marks.span {
         layout = layout.with_shaded_region(ShadedRegion::vertical(from, to).with_color("#5b7f95").with_opacity(0.13));
     }
-    draw(plots, layout, &frame.alt)
+    PreEscaped(svg::write(&render_multiple(plots, layout), below, &frame.alt))
 }
 
 /// Boxes side by side, with an optional shaded band of values; `tilt` turns the labels below by so many degrees.

@@ -7,7 +7,7 @@ use crate::metrics::PairedDifference;
 use super::chart::{self, Axis, Column, Frame};
 use super::closing_content::{Candidate, Change, Closing, ErrorRow, Interval, NamedEffect};
 use super::content::Content;
-use super::figure::{Section, figure, listed};
+use super::figure::{Section, figure};
 use super::{closing_field, closing_rest, number};
 
 /// Colours of the six predictions and the ceiling, in order.
@@ -19,7 +19,6 @@ const SHORT: [&str; 7] = ["declared", "recalibrated", "corrected", "before", "af
 pub(super) fn section(content: &Content) -> Option<Section> {
     let closing = content.closing.as_ref()?;
     let body = html! {
-        p.verdict { (verdict(closing)) }
         @for note in &closing.notes { p { (note) } }
         @if !closing.effects.is_empty() { (effects(&closing.effects)) }
         @if closing.ambiguity.len() > 1 { (ambiguity(closing)) }
@@ -36,41 +35,9 @@ pub(super) fn section(content: &Content) -> Option<Section> {
     Some(Section { id: "loop", title: "Closing the loop".into(), entries, body })
 }
 
-/// One sentence that says no more than is known.
-fn verdict(closing: &Closing) -> String {
-    let (open, sure) = listed_effects(closing);
-    let [named, open, sure] = [closing.effects.iter().collect(), open, sure]
-        .map(|of: Vec<&NamedEffect>| of.into_iter().map(|e| at(&e.kind, &e.target)).collect::<Vec<_>>());
-    let share =
-        |share: Option<f64>| share.map_or(String::new(), |s| format!(" ({} % of it)", number::fixed(100.0 * s, 0)));
-    match closing.verdict.as_str() {
-        "none" => "Nothing beyond the declared tolerances: the records ask for no further effect.".into(),
-        "known" => format!(
-            "The declared model lacks {}: that explains what recalibration within the tolerances leaves{}.",
-            listed(&named),
-            share(closing.explained_share)
-        ),
-        "ambiguous" => format!(
-            "The declared model lacks {}something that {} explains{}, and other effects about as well: these records cannot \
-             tell them apart.",
-            if sure.is_empty() { String::new() } else { format!("{} and besides ", listed(&sure)) },
-            listed(&open),
-            share(closing.explained_share)
-        ),
-        _ => format!(
-            "The records hold structure that no named effect explains{}; nothing was corrected.",
-            share(closing.explained_share).replace("of it", "of it is explained by the best")
-        ),
-    }
-}
-
 /// Named effects of which there may be others instead, and those that are sure.
 pub(super) fn listed_effects(closing: &Closing) -> (Vec<&NamedEffect>, Vec<&NamedEffect>) {
     closing.effects.iter().partition(|e| closing.ambiguity.iter().any(|(kind, _)| *kind == e.kind))
-}
-
-fn at(kind: &str, target: &str) -> String {
-    if target.is_empty() { words(kind) } else { format!("{} ({target})", words(kind)) }
 }
 
 /// `small_strain_damping` as words.
@@ -89,7 +56,7 @@ fn effects(effects: &[NamedEffect]) -> Markup {
     html! {
         div.scroll { table {
             caption { "The effects of the corrected manifest, with 95 % intervals, in brackets the value were every prior half and twice as wide, and how often chance would bring as much to the model without them." }
-            thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th { "Parameters" } } }
+            thead { tr { th scope="col" { "Effect" } th scope="col" { "Where" } th scope="col" { "Acts on" } th scope="col" { "Parameters" } } }
             tbody { @for effect in effects {
                 tr {
                     td { b { (words(&effect.kind)) } @if !effect.about.is_empty() { br; span.soft { (effect.about) } } }
@@ -200,7 +167,7 @@ fn table(closing: &Closing, rows: &[&ErrorRow], what: &str) -> Markup {
     html! {
         div.scroll { table.scores {
             caption { "NRMSE (%) on " (what) "." }
-            thead { tr { th { "Event" } th { "Component" } th { "Sensor" } @for model in &closing.models { th.n { (model.name) } } } }
+            thead { tr { th scope="col" { "Event" } th scope="col" { "Component" } th scope="col" { "Sensor" } @for model in &closing.models { th.n scope="col" { (model.name) } } } }
             tbody { @for (i, row) in rows.iter().enumerate() {
                 tr.new[i > 0 && rows[i - 1].event != row.event] {
                     td { (row.event) } td { (row.component) } td { (row.sensor) }
@@ -228,7 +195,7 @@ fn candidates(candidates: &[Candidate]) -> Markup {
                 "Models fitted with the nonlinear column. ln odds: against what is declared, priors included."
                 @if candidates.len() > SHOWN { " The best " (SHOWN) " of " (candidates.len()) "." }
             }
-            thead { tr { th { "Effect" } th { "Where" } th { "Acts on" } th.n { "Effects" } th.n { "ln odds" } th.n { "Fall of the cost on validation" } th.n { "Explains" } } }
+            thead { tr { th scope="col" { "Effect" } th scope="col" { "Where" } th scope="col" { "Acts on" } th.n scope="col" { "Effects" } th.n scope="col" { "ln odds" } th.n scope="col" { "Fall of the cost on validation" } th.n scope="col" { "Explains" } } }
             tbody { @for c in candidates.iter().take(SHOWN) {
                 tr {
                     td { (words(&c.kind)) } td { (c.target) } td { (c.class) } td.n { (c.round) }
@@ -243,31 +210,6 @@ fn candidates(candidates: &[Candidate]) -> Markup {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_verdict_says_no_more_than_is_known() {
-        let effect = |kind: &str| NamedEffect { kind: kind.into(), target: "surface".into(), ..NamedEffect::default() };
-        let says = |verdict: &str, effects: &[NamedEffect], share| {
-            super::verdict(&Closing {
-                verdict: verdict.into(),
-                effects: effects.to_vec(),
-                ambiguity: ["clock_offset", "sensor_depth"].map(|kind| (kind.into(), String::new())).to_vec(),
-                explained_share: share,
-                ..Closing::default()
-            })
-        };
-        let [gain, clock] = ["sensor_gain", "clock_offset"].map(effect);
-        let known = says("known", std::slice::from_ref(&gain), Some(0.934));
-        assert!(known.contains("lacks sensor gain (surface)") && known.contains("93 % of it"), "{known}");
-        assert!(says("none", &[], None).contains("no further effect"));
-        let ambiguous = says("ambiguous", std::slice::from_ref(&clock), None);
-        assert!(ambiguous.contains("lacks something that clock offset (surface) explains"), "{ambiguous}");
-        let besides = says("ambiguous", &[gain, clock], None);
-        assert!(besides.contains("lacks sensor gain (surface) and besides something that clock offset"), "{besides}");
-        assert!(besides.contains("cannot tell them apart"), "{besides}");
-        let unknown = says("unknown", &[], Some(0.2));
-        assert!(unknown.contains("no named effect") && unknown.contains("nothing was corrected"), "{unknown}");
-    }
 
     #[test]
     fn intervals_carry_their_unit_once() {

@@ -24,8 +24,8 @@ fn overview(field: &Field) -> Markup {
                 "a prediction."
             }
             thead { tr {
-                th { "Model" } th.n { "ln Fourier" } th.n { "ln PSA" } th.n { "ln PGA" } th.n { "ln PGV" } th.n { "ln Arias" }
-                th.n { "ln D5–75" } th.n { "ln D5–95" } th.n { "Anderson" }
+                th scope="col" { "Model" } th.n scope="col" { "ln Fourier" } th.n scope="col" { "ln PSA" } th.n scope="col" { "ln PGA" } th.n scope="col" { "ln PGV" } th.n scope="col" { "ln Arias" }
+                th.n scope="col" { "ln D5–75" } th.n scope="col" { "ln D5–95" } th.n scope="col" { "Anderson" }
             } }
             tbody { @for row in &field.rows {
                 tr {
@@ -54,8 +54,8 @@ fn bands(title: &str, edges: &[[f64; 2]], field: &Field, of: fn(&FieldRow) -> &V
         div.scroll { table {
             caption { (title) ": bias ± scatter over the held-out events." }
             thead { tr {
-                th { "Model" }
-                @for [low, high] in edges { th.n { (number::significant(*low)) "–" (number::significant(*high)) } }
+                th scope="col" { "Model" }
+                @for [low, high] in edges { th.n scope="col" { (number::significant(*low)) "–" (number::significant(*high)) } }
             } }
             tbody { @for row in &field.rows { tr { td { (row.model) } @for value in of(row) { td.n { (bias_sigma(*value)) } } } } }
         } }
@@ -73,7 +73,7 @@ fn letters(rows: &[TransferRow]) -> Markup {
                 "Transfer functions of all weak events after Thompson et al. (2012): scatter of the recorded one between events (L below "
                 "0.35, H above) and correlation of its mean with the predicted one (G above 0.6, P below)."
             }
-            thead { tr { th { "Component" } th { "Sensor" } th { "Model" } th { "Letters" } th.n { "r" } th.n { "σ" } th.n { "Events" } } }
+            thead { tr { th scope="col" { "Component" } th scope="col" { "Sensor" } th scope="col" { "Model" } th scope="col" { "Letters" } th.n scope="col" { "r" } th.n scope="col" { "σ" } th.n scope="col" { "Events" } } }
             tbody { @for row in rows {
                 tr {
                     td { (row.component) } td { (row.sensor) } td { (row.model) } td { b { (row.letters) } }

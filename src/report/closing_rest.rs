@@ -32,7 +32,7 @@ fn without_a_name(generic: &Generic) -> Markup {
             ", fitted and chosen on training and validation events and judged on held-out ones:" }
         div.scroll { table {
             caption { "Median NRMSE (%) over held-out events." }
-            thead { tr { th { "Model" } th.n { "Without" } th.n { "With" } } }
+            thead { tr { th scope="col" { "Model" } th.n scope="col" { "Without" } th.n scope="col" { "With" } } }
             tbody { @for (name, [without, with]) in &generic.models {
                 tr { td { (name) } td.n { (number::optional(*without, 1)) } td.n { (number::optional(*with, 1)) } }
             } }

@@ -11,6 +11,11 @@ pub use super::closing_content::{
     TransferRow,
 };
 
+pub use super::site_content::{
+    EventRow, EventView, LayerView, ModelView, ProfileView, ResidualView, SensorPlace, SensorView, SiteView,
+    TransferView,
+};
+
 /// The whole report of one site.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -31,6 +36,14 @@ pub struct Content {
     pub calibrate: Vec<Calibration>,
     /// What the model lacked and what correcting it was worth.
     pub closing: Option<Closing>,
+    /// The column and its array.
+    pub site_view: Option<SiteView>,
+    /// Held-out events with all models of a closed loop, one per event and component; they stand in for `held_out`.
+    pub events: Vec<EventView>,
+    /// Transfer functions, one per component and sensor.
+    pub transfers: Vec<TransferView>,
+    /// What remains of response spectra, one per sensor.
+    pub residuals: Vec<ResidualView>,
     /// Predictions of the held-out events, one per event and component, in the order shown.
     pub held_out: Vec<Prediction>,
     /// Errors on the held-out events, one per event, component and sensor, in the order shown.

@@ -48,6 +48,7 @@ fn case(stage: &Distill) -> Markup {
         periods_s: traces::period_range(&stage.traces),
     };
     html! {
+        h3 { "Case " (stage.case) }
         (legend(&keys))
         figure {
             @for trace in &stage.traces { (traces::row(trace, &look, &html! {})) }

@@ -74,7 +74,7 @@ pub(super) fn heat(frame: &Frame, rows: &[Vec<f64>], scale: Diverging, look: Hea
         HeatLook::Depth => layout = layout.with_y_tick_format(TickFormat::Custom(Arc::new(|v| number::plain(v.abs())))),
         HeatLook::Matrix { row_names, column_names } => {
             layout =
-                layout.with_y_categories(row_names).with_tick_length(0.0).with_tick_size(9).with_x_tick_rotate(-90.0);
+                layout.with_y_categories(row_names).with_tick_length(0.0).with_tick_size(12).with_x_tick_rotate(-90.0);
             layout.suppress_x_ticks = column_names.is_none();
             match column_names {
                 Some(names) => layout = layout.with_x_categories(names),

@@ -10,7 +10,7 @@ use super::traces::{self, Look};
 
 /// The section, if there are predictions.
 pub(super) fn section(content: &Content) -> Option<Section> {
-    if content.held_out.is_empty() {
+    if content.held_out.is_empty() || !content.events.is_empty() {
         return None;
     }
     let anchor = |i: usize| format!("event-{}", i + 1);

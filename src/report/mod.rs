@@ -3,7 +3,7 @@
 //! [`render`] turns plain data ([`content::Content`]) into one HTML document that loads nothing from elsewhere: style and
 //! figures (inline SVG) are inside, there is no script. The same content gives the same bytes. Text is escaped throughout.
 //!
-//! One file a section (`summary`, `closing`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
+//! One file a section (`summary`, `site`, `closing`, `events`, `spectra`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
 //! drawn with the few kinds of figure in `chart` and `heat`; `page` puts them together.
 
 mod answer;
@@ -17,16 +17,21 @@ mod closing_field;
 mod closing_rest;
 pub mod content;
 mod distill;
+mod events;
 mod figure;
 mod heat;
 mod held_out;
 mod losses;
+mod models;
 mod motions;
 mod number;
 mod page;
 mod pretrain;
 mod provenance;
 mod scores;
+mod site;
+mod site_content;
+mod spectra;
 mod study;
 mod summary;
 mod svg;
@@ -64,6 +69,9 @@ pub fn render(content: &Content) -> Result<String> {
     let sections = [
         summary::section(content),
         closing::section(content),
+        events::section(content),
+        spectra::section(content),
+        site::section(content),
         scores::section(content),
         study::section(content),
         held_out::section(content),

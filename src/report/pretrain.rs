@@ -90,8 +90,8 @@ fn guards(list: &[Guard]) -> Markup {
     html! {
         p { "Beyond the training: rollouts of the validation motions where nothing was learnt must stay finite; whether they are "
             "right is not claimed." }
-        table.narrow {
-            thead { tr { th { "Rollout" } th.n { "Finite" } th { "Response" } th.n { "Median" } th.n { "Largest" } th.n { "Limited" } } }
+        div.scroll { table.narrow {
+            thead { tr { th scope="col" { "Rollout" } th.n scope="col" { "Finite" } th scope="col" { "Response" } th.n scope="col" { "Median" } th.n scope="col" { "Largest" } th.n scope="col" { "Limited" } } }
             tbody {
                 @for guard in list {
                     tr {
@@ -104,7 +104,7 @@ fn guards(list: &[Guard]) -> Markup {
                     }
                 }
             }
-        }
+        } }
     }
 }
 

@@ -19,7 +19,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
             h3 { "Stage outputs" }
             div.scroll {
                 table {
-                    thead { tr { th { "Stage" } th.n { "Version" } th { "Key" } } }
+                    thead { tr { th scope="col" { "Stage" } th.n scope="col" { "Version" } th scope="col" { "Key" } } }
                     tbody {
                         @for stage in &origin.stages { tr { td { (stage.stage) } td.n { (stage.version) } td { code { (stage.key) } } } }
                     }
@@ -48,7 +48,7 @@ fn timings(timings: &[Timing]) -> Markup {
         h3 { "Time spent" }
         div.scroll {
             table {
-                thead { tr { th { "Stage" } th.n { "Wall clock" } th { "" } th { "" } } }
+                thead { tr { th scope="col" { "Stage" } th.n scope="col" { "Wall clock" } th scope="col" { "" } th scope="col" { "" } } }
                 tbody {
                     @for timing in timings {
                         tr {

@@ -27,9 +27,9 @@ pub(super) fn section(content: &Content) -> Option<Section> {
                     "The ceiling is what a filter fitted to the training events reaches, or nothing where that is better: what is left above "
                     "zero there differs from event to event, and no model that is the same in all of them removes it. PSA error is the root-mean-square difference of ln PSA over the periods of the spectra, at 5 % damping." }
                 thead {
-                    tr { th rowspan="2" { "Event" } th rowspan="2" { "Component" } th rowspan="2" { "Sensor" }
-                         th.g colspan="3" { "NRMSE (%)" } th.g colspan="2" { "R² (–)" } th.g colspan="2" { "PSA error (ln)" } }
-                    tr { @for k in 0..3 { th.n.g { "FE" } th.n { "FLARE-T" } @if k == 0 { th.n { "Ceiling" } } } }
+                    tr { th scope="col" rowspan="2" { "Event" } th scope="col" rowspan="2" { "Component" } th scope="col" rowspan="2" { "Sensor" }
+                         th.g scope="col" colspan="3" { "NRMSE (%)" } th.g scope="col" colspan="2" { "R² (–)" } th.g scope="col" colspan="2" { "PSA error (ln)" } }
+                    tr { @for k in 0..3 { th.n.g scope="col" { "FE" } th.n scope="col" { "FLARE-T" } @if k == 0 { th.n scope="col" { "Ceiling" } } } }
                 }
                 tbody {
                     @for (i, score) in content.scores.iter().enumerate() {

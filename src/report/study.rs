@@ -14,10 +14,10 @@ pub(super) fn section(content: &Content) -> Option<Section> {
         p { "Two source models of the same site go through the same three stages and are calibrated on the same records. If the "
             "held-out accuracy of FLARE-T differs less than that of the finite elements, the records have made up for part of "
             "what the simulations lack." }
-        table {
+        div.scroll { table {
             thead {
-                tr { th { } th { } th.n colspan="2" { (own) } th.n colspan="2" { (other) } }
-                tr { th { "Event" } th { "Component" } @for _ in 0..2 { th.n { "R² FE" } th.n { "R² FLARE-T" } } }
+                tr { th scope="col" { } th scope="col" { } th.n scope="col" colspan="2" { (own) } th.n scope="col" colspan="2" { (other) } }
+                tr { th scope="col" { "Event" } th scope="col" { "Component" } @for _ in 0..2 { th.n scope="col" { "R² FE" } th.n scope="col" { "R² FLARE-T" } } }
             }
             tbody {
                 @for row in &study.rows {
@@ -26,7 +26,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
                 tr { td { b { "Median" } } td { } (cells(&study.median_r2, 3)) }
                 tr { td { b { "Median NRMSE (%)" } } td { } (cells(&study.median_nrmse_percent, 1)) }
             }
-        }
+        } }
     };
     Some(Section { id: "source-study", title: "Two source models".into(), entries: Vec::new(), body })
 }

@@ -10,8 +10,8 @@ use super::chart::{self, Axis, Curve, Dots, Frame};
 use super::closing_content::Closing;
 use super::content::{Content, Pair, Score};
 use super::figure::{Section, listed};
-use super::number;
 use super::scores::{compare, median_ceiling, median_pair};
+use super::{number, site};
 
 /// How many rows FLARE-T wins, ties and loses, and how many cannot be compared.
 #[derive(Debug, Default, PartialEq)]
@@ -44,7 +44,12 @@ impl Tally {
 /// The section: always there, because notices and description stand in it.
 pub(super) fn section(content: &Content) -> Option<Section> {
     let body = html! {
-        @if let Some(closing) = &content.closing { (said(closing)) }
+        @if let Some(closing) = &content.closing {
+            div.first {
+                div { (said(closing)) }
+                @if let Some(picture) = site::picture(content) { div { (picture) } }
+            }
+        }
         @for notice in &content.notices { p.notice { strong { "Note. " } (notice) } }
         @for paragraph in &content.description { p { (paragraph) } }
         @if !content.scores.is_empty() { (verdict(&content.scores)) (tiles(&content.scores)) (scatter(&content.scores)) }
@@ -116,7 +121,7 @@ fn tiles(scores: &[Score]) -> Markup {
         let (tally, pair) = (Tally::of(scores, pick, higher), median_pair(scores, pick));
         html! {
             div.tile {
-                h4 { (name) }
+                h3 { (name) }
                 dl {
                     dt.fe { "FE" } dd { (number::optional(pair.fe, digits)) (unit) }
                     dt.flare { "FLARE-T" } dd { (number::optional(pair.flare_t, digits)) (unit) }

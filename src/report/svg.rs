@@ -14,8 +14,11 @@ use kuva::render::render::{Primitive, Scene, TextAnchor};
 pub(super) fn write(scene: &Scene, below: &str, alt: &str) -> String {
     let mut out = String::new();
     let (width, height) = (scene.width.round(), scene.height.round());
-    let _ =
-        write!(out, r#"<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img" aria-label=""#);
+    let _ = write!(
+        out,
+        r#"<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" {} role="img" aria-label=""#,
+        legible(width)
+    );
     escape(&mut out, alt);
     out.push_str("\">");
     out.push_str(below);
@@ -193,7 +196,13 @@ fn true_minus(text: &str) -> String {
     }
 }
 
-fn escape(out: &mut String, text: &str) {
+/// The attribute that keeps a figure of this width from shrinking until its text of 12 px is under 9 px.
+pub(super) fn legible(width: f64) -> String {
+    format!(r#"style="min-width:{:.0}px""#, (0.75 * width).ceil())
+}
+
+/// Appends `text` so that it is text in SVG and HTML.
+pub(super) fn escape(out: &mut String, text: &str) {
     for c in text.chars() {
         match c {
             '&' => out.push_str("&amp;"),

@@ -21,7 +21,7 @@ pub(super) fn row(trace: &Trace, look: &Look, note: &Markup) -> Markup {
     let spectrum = trace.spectrum.as_ref().map(|spectrum| spectra(spectrum, trace, look));
     html! {
         div.sensor {
-            h5 {
+            h4 {
                 (trace.sensor)
                 @if let Some(depth) = trace.depth_m {
                     " " span.soft { @if depth == 0.0 { "surface" } @else { (number::plain(depth)) " m deep" } }

@@ -5,7 +5,7 @@ use super::artifact::{read_json, write_json};
 use super::evaluate::{self, Axis, Evaluation};
 use super::generic::{Channel, Generic};
 use super::side_by_side::{self, Histories, judged};
-use super::{correct, diagnose, extend, records, replay, report_closing};
+use super::{correct, diagnose, extend, histories, records, replay, report_closing};
 use crate::dataset::Coarse;
 use crate::diagnosis::{
     self, Change, Diagnosis, ErrorRow, NoiseSource, NoiseSpectrum, Six, Summary, Verdict, noise_deviation_m_s2,
@@ -109,7 +109,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        10
+        11
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -152,6 +152,7 @@ impl Stage for Compare {
                 channels.extend(passes.channels(&record, split)?);
             }
         }
+        histories::write(task.output_dir(), &beside, passes.axis.start_s)?;
         let (errors, transfer) = judged(&beside, &coherence(&diagnosis), band_hz[0]);
         let summary = Summary::of(&errors, &ablation, transfer);
         let mut notes = diagnosis.notes.clone();

@@ -3,7 +3,7 @@
 use super::artifact::{read_json, read_table, write_json};
 use super::evaluate::{self, Both, Evaluation};
 use super::motions::MotionSummary;
-use super::{compare, dataset, distill, motions, pretrain, report_closing, source_study};
+use super::{compare, dataset, distill, motions, pretrain, report_closing, report_events, source_study};
 use crate::error::{Context, Result};
 use crate::flare::{Calibration, Guard, SourceModel, SparseEncoder, reconstruct};
 use crate::metrics::{DAMPING, Quartiles, log_periods_s, median, psa, timewise_error_percent};
@@ -37,7 +37,7 @@ impl Stage for Report {
     }
 
     fn version(&self) -> u32 {
-        4
+        5
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -182,6 +182,7 @@ fn content(task: &Task<'_>, trained: Option<(Evaluation, evaluate::Axis)>) -> Re
         provenance: provenance(task)?,
         ..Content::default()
     };
+    let content = report_events::added(task, content)?;
     let Some((evaluation, axis)) = trained else { return Ok(content) };
     Ok(Content {
         motions: Some(motions_content(task)?),
@@ -401,7 +402,10 @@ fn provenance(task: &Task<'_>) -> Result<Provenance> {
         "distill",
         "calibrate",
         "evaluate",
+        "records",
         "diagnose",
+        "recalibrate",
+        "correct",
         "compare",
         "study",
     ] {

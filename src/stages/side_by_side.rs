@@ -6,8 +6,8 @@ use super::ceiling::{CeilingErrors, ceilings};
 use super::evaluate;
 use crate::diagnosis::{ErrorRow, Six};
 use crate::metrics::{
-    History, Measures, SensorTransfer, TransferFit, coherent_mean_nrmse_percent, coherent_nrmse_percent,
-    fourier_frequencies_hz, smoothed_fourier_amplitude,
+    History, Measures, SensorTransfer, TransferCurves, TransferFit, coherent_mean_nrmse_percent,
+    coherent_nrmse_percent, fourier_frequencies_hz, smoothed_fourier_amplitude,
 };
 use crate::records::Split;
 use crate::units::G_M_S2;
@@ -193,24 +193,38 @@ fn transfer(channels: &[Channel], measured: &[Measured], band_hz: [f64; 2]) -> V
             places.push((&channel.component, &channel.sensor));
         }
     }
-    let fit = |component: &String, sensor: &String, model: &str| -> Option<TransferFit> {
+    // Recorded and predicted ln amplitudes of the weak events that have the model.
+    let weak = |component: &String, sensor: &String, model: Option<&str>| -> [Vec<Vec<f64>>; 2] {
         let (mut recorded, mut predicted) = (Vec::new(), Vec::new());
         for (channel, found) in channels.iter().zip(measured) {
             let is_weak = found.observed().pga_m_s2 < WEAK_G * G_M_S2;
             if &channel.component == component && &channel.sensor == sensor && is_weak {
+                let Some(model) = model else {
+                    recorded.push(ln_ratio(&found.observed().fourier_m_s, found.input_fourier_m_s()));
+                    continue;
+                };
                 let Some((axis, history)) = found.predicted.get(model) else { continue };
                 let input = &found.input_fourier_m_s[*axis];
                 recorded.push(ln_ratio(&found.observed[*axis].fourier_m_s, input));
                 predicted.push(ln_ratio(&history.fourier_m_s, input));
             }
         }
-        TransferFit::of(&frequencies_hz, &recorded, &predicted)
+        [recorded, predicted]
     };
     let models = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
-    let of = |(component, sensor): &(&String, &String)| SensorTransfer {
-        component: (*component).clone(),
-        sensor: (*sensor).clone(),
-        models: models.iter().map(|model| ((*model).to_string(), fit(component, sensor, model))).collect(),
+    let of = |(component, sensor): &(&String, &String)| {
+        let by_model = models.map(|model| (model.to_string(), weak(component, sensor, Some(model))));
+        let [recorded, _] = weak(component, sensor, None);
+        let predicted = by_model.iter().map(|(model, [_, predicted])| (model.clone(), predicted.clone())).collect();
+        let fit = |(model, [recorded, predicted]): (String, [Vec<Vec<f64>>; 2])| {
+            (model, TransferFit::of(&frequencies_hz, &recorded, &predicted))
+        };
+        SensorTransfer {
+            component: (*component).clone(),
+            sensor: (*sensor).clone(),
+            curves: TransferCurves::of(&frequencies_hz, &recorded, predicted),
+            models: by_model.into_iter().map(fit).collect(),
+        }
     };
     places.iter().map(of).collect()
 }

@@ -433,5 +433,85 @@ fn build() -> Content {
             seeds: vec![("motions".into(), 1), ("pretrain".into(), 7)],
             facts: vec![("Record LSST07.EW.csv".into(), "blake3 9d1f0c2b".into())],
         },
+        ..Content::default()
+    }
+}
+
+/// The same as a closed loop leaves it: with the site, all models at every held-out event, transfer functions and spectra.
+pub fn closed() -> Content {
+    let content = content();
+    let period_s: Vec<f64> = (0..60).map(|i| 0.1 * 100f64.powf(f64::from(i) / 59.0)).collect();
+    let view = |model: &str, of: &Series, factor: f64| {
+        let history = Series { values: of.values.iter().map(|v| factor * v).collect(), ..of.clone() };
+        let psa_m_s2 = psa(&history.values, &period_s);
+        ModelView { model: model.into(), history, psa_m_s2, pgv_m_s: 0.1, arias_m_s: 0.2, nrmse_percent: Some(12.0) }
+    };
+    let sensor = |t: &Trace| {
+        let (record, fe, flare) = (t.record.as_ref().unwrap(), t.fe.as_ref().unwrap(), t.flare_t.as_ref().unwrap());
+        let models = vec![
+            view("record", record, 1.0),
+            view("declared", fe, 1.3),
+            view("recalibrated", fe, 1.1),
+            view("corrected", fe, 1.0),
+            view("flare_before", flare, 0.8),
+            view("flare_after", flare, 1.0),
+        ];
+        SensorView { sensor: t.sensor.clone(), depth_m: t.depth_m, period_s: period_s.clone(), models }
+    };
+    let event = |p: &Prediction| EventView {
+        event: p.event.clone(),
+        component: p.component.clone(),
+        input: p.traces[0].record.clone().unwrap(),
+        sensors: p.traces.iter().map(sensor).collect(),
+    };
+    let frequencies_hz: Vec<f64> = (0..60).map(|i| 0.3 * 60f64.powf(f64::from(i) / 59.0)).collect();
+    let curve =
+        |shift: f64| -> Vec<f64> { frequencies_hz.iter().map(|f| 1.2 * (2.1 * f.ln() + shift).sin()).collect() };
+    let transfer = |(component, (name, _)): (&str, (&str, f64))| TransferView {
+        component: component.into(),
+        sensor: name.into(),
+        frequencies_hz: frequencies_hz.clone(),
+        recorded_ln: curve(0.0),
+        sigma_ln: vec![0.2; 60],
+        predicted_ln: vec![("declared".into(), curve(0.4)), ("corrected".into(), curve(0.05))],
+        n_event: 9,
+    };
+    let residual = |(name, _): (&str, f64)| ResidualView {
+        sensor: name.into(),
+        period_s: period_s.clone(),
+        models: vec![
+            ("declared".into(), curve(0.2), vec![0.4; 60]),
+            ("corrected".into(), vec![0.02; 60], vec![0.1; 60]),
+        ],
+        n: 6,
+    };
+    let profile = |model: &str, factor: f64| ProfileView {
+        model: model.into(),
+        tops: [[0.0, 120.0], [2.0, 140.0], [6.0, 165.0], [11.0, 190.0]].map(|[z, vs]| [z, factor * vs]).to_vec(),
+    };
+    let layer = |top_m: f64, bottom_m: f64| LayerView { top_m, bottom_m, law: "sanisand".into() };
+    let place = |(name, depth_m): (&str, f64)| SensorPlace { name: name.into(), depth_m, is_input: false };
+    let row = |p: &Prediction| EventRow {
+        event: p.event.clone(),
+        component: p.component.clone(),
+        split: "held out".into(),
+        pga_g: vec![0.11; 4],
+        duration_s: 41.0,
+    };
+    let input = SensorPlace { name: "DHB17".into(), depth_m: 17.0, is_input: true };
+    Content {
+        site_view: Some(SiteView {
+            depth_m: 17.0,
+            layers: vec![layer(0.0, 2.0), layer(2.0, 6.0), layer(6.0, 11.0), layer(11.0, 17.0)],
+            profiles: vec![profile("declared", 1.0), profile("recalibrated", 1.03), profile("corrected", 0.97)],
+            sensors: std::iter::once(input).chain(SENSORS.map(place)).collect(),
+            water_table_m: Some(0.6),
+            facts: vec![("Fundamental frequency f₀ by travel time".into(), "2.41 Hz as declared".into())],
+            events: content.held_out.iter().map(row).collect(),
+        }),
+        events: content.held_out.iter().map(event).collect(),
+        transfers: ["EW", "NS"].into_iter().flat_map(|c| SENSORS.map(|s| (c, s))).map(transfer).collect(),
+        residuals: SENSORS.map(residual).to_vec(),
+        ..content
     }
 }
