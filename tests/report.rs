@@ -83,6 +83,8 @@ fn a_closed_loop_shows_the_site_and_every_model_at_every_event() {
     odd.events[3].input.values.clear();
     odd.transfers[0].recorded_ln.fill(f64::NAN);
     odd.residuals[0].models.clear();
+    odd.depth.as_mut().unwrap().models[0].stress_strain.clear();
+    odd.depth.as_mut().unwrap().models[1].strain_percent.fill(f64::NAN);
     odd.site_view.as_mut().unwrap().layers.clear();
     elements(&report::render(&odd).unwrap());
 }

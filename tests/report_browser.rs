@@ -90,7 +90,7 @@ fn a_browser_shows_every_section_without_complaint() {
     let page = folder.path().join("report.html");
     let common = ["summary", "loop", "loop-errors", "loop-candidates", "loop-rest", "held-out", "event-6", "scores"];
     let stages = ["stage-1", "stage-2", "stage-3", "stage-3-2", "motions", "provenance"];
-    let closed = ["site", "events-table", "spectra", "transfer", "residual"];
+    let closed = ["site", "depth", "events-table", "spectra", "transfer", "residual"];
     for (content, more) in [(report_sample::content(), &[][..]), (report_sample::closed(), &closed[..])] {
         std::fs::write(&page, report::render(&content).unwrap()).unwrap();
         let out = open(browser, folder.path(), &page, &["--dump-dom"]);

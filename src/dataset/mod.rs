@@ -1,6 +1,7 @@
 //! Trajectories on disk (MCAP), their index and splits, decimation and normalisation.
 
 mod coarse;
+mod depth_profile;
 mod index;
 mod message;
 mod normalisation;
@@ -10,6 +11,7 @@ mod sampler;
 mod writer;
 
 pub use coarse::{Coarse, pick_channels};
+pub use depth_profile::DepthProfile;
 pub use index::{Index, IndexCase, IndexSensor, Outcome};
 pub use normalisation::{Accumulator, Normalisation};
 pub use observation::{Observation, observation_matrix};

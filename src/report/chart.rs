@@ -141,6 +141,34 @@ pub(super) fn curves_with_hints(frame: &Frame, curves: &[Curve], hints: &[(f64, 
     drawn(frame, curves, Marks::default(), &below)
 }
 
+/// Curves over depth: the frame's y runs over negative depths.
+pub(super) fn curves_over_depth(frame: &Frame, curves: &[Curve]) -> Markup {
+    let plots = curves.iter().map(|curve| line(curve, curve.points.clone()).into()).collect();
+    let layout = layout(frame).with_y_tick_format(TickFormat::Custom(Arc::new(|v| number::plain(v.abs()))));
+    draw(plots, layout, &frame.alt)
+}
+
+/// A curve that goes back and forth along x, such as a loop of stress over strain, thinned to the resolution of its frame.
+pub(super) fn path(frame: &Frame, curve: &Curve) -> Markup {
+    let [width, height] = [frame.size.0 - MARGINS[0] - MARGINS[1], frame.size.1 - MARGINS[2] - MARGINS[3]];
+    let pixel = |(x, y): (f64, f64)| {
+        let place = |v: f64, (low, high): (f64, f64), size: f64| ((v - low) / (high - low) * size * 2.0).round() as i64;
+        (place(x, frame.x.range, width), place(y, frame.y.range, height))
+    };
+    let mut points: Vec<(f64, f64)> =
+        curve.points.iter().copied().filter(|p| p.0.is_finite() && p.1.is_finite()).collect();
+    points.dedup_by_key(|p| pixel(*p));
+    draw(vec![line(curve, points).into()], layout(frame), &frame.alt)
+}
+
+fn line(curve: &Curve, points: Vec<(f64, f64)>) -> LinePlot {
+    let line = LinePlot::new().with_data(points).with_color(curve.color).with_stroke_width(curve.width);
+    match curve.dash {
+        Some(dash) => line.with_line_style(LineStyle::Custom(dash.into())),
+        None => line,
+    }
+}
+
 /// Curves over a common frame, thinned to its width and cut at its upper and lower edge.
 pub(super) fn curves(frame: &Frame, curves: &[Curve], marks: Marks) -> Markup {
     drawn(frame, curves, marks, "")
@@ -157,11 +185,7 @@ fn drawn(frame: &Frame, curves: &[Curve], marks: Marks, below: &str) -> Markup {
             .map(|&(x, y)| (x, y.clamp(frame.y.range.0, frame.y.range.1)))
             .collect();
         for piece in thin::curve(&points, (frame.size.0 - MARGINS[0] - MARGINS[1]) as usize) {
-            let mut line = LinePlot::new().with_data(piece).with_color(curve.color).with_stroke_width(curve.width);
-            if let Some(dash) = curve.dash {
-                line = line.with_line_style(LineStyle::Custom(dash.into()));
-            }
-            plots.push(line.into());
+            plots.push(line(curve, piece).into());
         }
     }
     let mut layout = layout(frame);

@@ -12,8 +12,8 @@ pub use super::closing_content::{
 };
 
 pub use super::site_content::{
-    EventRow, EventView, LayerView, ModelView, ProfileView, ResidualView, SensorPlace, SensorView, SiteView,
-    TransferView,
+    DepthModel, DepthView, EventRow, EventView, LayerView, ModelView, ProfileView, ResidualView, SensorPlace,
+    SensorView, SiteView, TransferView,
 };
 
 /// The whole report of one site.
@@ -42,6 +42,8 @@ pub struct Content {
     pub events: Vec<EventView>,
     /// Transfer functions, one per component and sensor.
     pub transfers: Vec<TransferView>,
+    /// What the strongest held-out motion does over depth.
+    pub depth: Option<DepthView>,
     /// What remains of response spectra, one per sensor.
     pub residuals: Vec<ResidualView>,
     /// Predictions of the held-out events, one per event and component, in the order shown.

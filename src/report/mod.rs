@@ -3,7 +3,7 @@
 //! [`render`] turns plain data ([`content::Content`]) into one HTML document that loads nothing from elsewhere: style and
 //! figures (inline SVG) are inside, there is no script. The same content gives the same bytes. Text is escaped throughout.
 //!
-//! One file a section (`summary`, `site`, `closing`, `events`, `spectra`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
+//! One file a section (`summary`, `site`, `closing`, `events`, `spectra`, `depth`, `scores`, `held_out`, `pretrain`, `distill`, `calibrate`, `motions`, `provenance`), all
 //! drawn with the few kinds of figure in `chart` and `heat`; `page` puts them together.
 
 mod answer;
@@ -16,6 +16,7 @@ mod closing_content;
 mod closing_field;
 mod closing_rest;
 pub mod content;
+mod depth;
 mod distill;
 mod events;
 mod figure;
@@ -71,6 +72,7 @@ pub fn render(content: &Content) -> Result<String> {
         closing::section(content),
         events::section(content),
         spectra::section(content),
+        depth::section(content),
         site::section(content),
         scores::section(content),
         study::section(content),

@@ -152,3 +152,39 @@ pub struct ResidualView {
     /// Events and components behind it.
     pub n: usize,
 }
+
+/// What the strongest held-out motion does over depth.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DepthView {
+    /// Event.
+    pub event: String,
+    /// Component.
+    pub component: String,
+    /// Peak of the input, g.
+    pub pga_g: f64,
+    /// Models of the column.
+    pub models: Vec<DepthModel>,
+}
+
+/// Largest absolute values in the elements of one model, surface down, and the loop of the one with the largest strain.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DepthModel {
+    /// Key of the model.
+    pub model: String,
+    /// Depths of the element centres, m.
+    pub depth_m: Vec<f64>,
+    /// Acceleration, g.
+    pub pga_g: Vec<f64>,
+    /// Shear strain, %.
+    pub strain_percent: Vec<f64>,
+    /// Shear stress, kPa.
+    pub stress_kpa: Vec<f64>,
+    /// Excess pore pressure over initial vertical effective stress.
+    pub pore_ratio: Vec<f64>,
+    /// Depth of the element with the largest strain, m.
+    pub loop_depth_m: f64,
+    /// Its strain (%) and stress (kPa), output step after output step.
+    pub stress_strain: Vec<(f64, f64)>,
+}

@@ -1,17 +1,21 @@
 //! From records, manifests and the comparison's histories to the report's sections on the site, its events and spectra.
 
+use super::instrument::Instrument;
 use super::{compare, correct, histories, records};
+use crate::column::Column;
+use crate::dataset::DepthProfile;
+use crate::effects::Situation;
 use crate::error::Result;
 use crate::manifest::ColumnSections;
 use crate::metrics::{DAMPING, arias_build_up_m_s, peak, peak_velocity_m_s, psa, psa_periods_s};
 use crate::numerics::resample::resample_band_limited;
 use crate::pipeline::Task;
-use crate::records::{RecordSettings, Split};
+use crate::records::{Record, RecordSettings, Split};
 use crate::report::content::{
-    Content, EventRow, EventView, LayerView, ModelView, ProfileView, ResidualView, SensorPlace, SensorView, Series,
-    SiteView, TransferView,
+    Content, DepthModel, DepthView, EventRow, EventView, LayerView, ModelView, ProfileView, ResidualView, SensorPlace,
+    SensorView, Series, SiteView, TransferView,
 };
-use crate::units::G_M_S2;
+use crate::units::{G_M_S2, KPA};
 use rayon::prelude::*;
 
 /// Finest step spectra are computed at, s.
@@ -45,7 +49,15 @@ pub fn added(task: &Task<'_>, content: Content) -> Result<Content> {
         n_event: place.curves.n_event,
     };
     let transfers = found.summary.transfer.iter().filter(|place| place.curves.n_event > 0).map(transfer).collect();
-    Ok(Content { site_view: Some(site(task, &declared)?), residuals: residuals(&events), events, transfers, ..content })
+    let depth = over_depth(task, &declared)?;
+    Ok(Content {
+        depth,
+        site_view: Some(site(task, &declared)?),
+        residuals: residuals(&events),
+        events,
+        transfers,
+        ..content
+    })
 }
 
 fn site(task: &Task<'_>, declared: &ColumnSections) -> Result<SiteView> {
@@ -85,6 +97,44 @@ fn site(task: &Task<'_>, declared: &ColumnSections) -> Result<SiteView> {
         water_table_m: Some(profile.water_table_m).filter(|w| *w > 0.0 && *w < depth_m),
         events: rows(task, declared)?,
     })
+}
+
+/// The column as declared and corrected under the strongest motion of the held-out events; a model that cannot finish it is left out.
+fn over_depth(task: &Task<'_>, declared: &ColumnSections) -> Result<Option<DepthView>> {
+    let settings: RecordSettings = task.section("records")?;
+    let read = records::read(task.input("records")?, &settings, &declared.sensors)?.records;
+    let held_out = read.iter().filter(|(split, _)| *split == Split::Test).map(|(_, record)| record);
+    let Some(strongest) = held_out.max_by(|a, b| a.input_pga_m_s2().total_cmp(&b.input_pga_m_s2())) else {
+        return Ok(None);
+    };
+    let event: Vec<Record> = read.iter().filter(|(_, r)| r.event == strongest.event).map(|(_, r)| r.clone()).collect();
+    let component = settings.components.iter().position(|c| *c == strongest.component).unwrap_or(0);
+    let situation = Situation::of(component, &strongest.event, settings.events().map(|(event, _)| event));
+    let corrected = with_effects_of(&task.input("correct")?.join(correct::FILE), declared)?;
+    let mut models = Vec::new();
+    for (model, sections) in [("declared", declared), ("corrected", &corrected)] {
+        let instrument = Instrument::new(&sections.sensors, sections.site.depth_m, &sections.effects)?;
+        let undone = instrument.undone(&event);
+        let Some(motion) = undone.iter().find(|r| r.component == strongest.component) else { continue };
+        let column = Column::new(&sections.profile_for(&situation)?, &sections.analysis)?;
+        let step_s = sections.analysis.output_step_s;
+        let Ok(found) = DepthProfile::of(&column, &motion.input.acceleration_m_s2, motion.dt_s, step_s) else {
+            continue;
+        };
+        let scaled = |values: &[f64], factor: f64| values.iter().map(|v| factor * v).collect::<Vec<f64>>();
+        models.push(DepthModel {
+            model: model.into(),
+            pga_g: scaled(&found.acceleration_m_s2, 1.0 / G_M_S2),
+            strain_percent: scaled(&found.gamma, 100.0),
+            stress_kpa: scaled(&found.tau_pa, 1.0 / KPA),
+            pore_ratio: found.pore_ratio.clone(),
+            loop_depth_m: found.depth_m[found.weakest],
+            stress_strain: found.loop_gamma.iter().zip(&found.loop_tau_pa).map(|(g, t)| (100.0 * g, t / KPA)).collect(),
+            depth_m: found.depth_m,
+        });
+    }
+    let (event, component) = (strongest.event.clone(), strongest.component.clone());
+    Ok(Some(DepthView { event, component, pga_g: strongest.input_pga_m_s2() / G_M_S2, models }))
 }
 
 /// The declared sections with the effects of a manifest that a stage wrote; it holds those it adds and those before them.

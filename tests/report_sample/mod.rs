@@ -498,6 +498,23 @@ pub fn closed() -> Content {
         pga_g: vec![0.11; 4],
         duration_s: 41.0,
     };
+    let over_depth = |model: &str, factor: f64| {
+        let depth_m: Vec<f64> = (0..40).map(|i| 17.0 * (f64::from(i) + 0.5) / 40.0).collect();
+        let of = |f: &dyn Fn(f64) -> f64| depth_m.iter().map(|z| factor * f(*z)).collect::<Vec<f64>>();
+        DepthModel {
+            model: model.into(),
+            pga_g: of(&|z| 0.2 - 0.005 * z),
+            strain_percent: of(&|z| 0.01 * z * (17.5 - z)),
+            stress_kpa: of(&|z| 2.0 * z),
+            pore_ratio: of(&|z| 0.6 * (-(z - 5.0).powi(2) / 8.0).exp()),
+            loop_depth_m: 8.7,
+            stress_strain: (0..3000)
+                .map(|i| f64::from(i) * 0.01)
+                .map(|t| (factor * t.sin() * 0.7, 17.0 * (t + 0.3).sin()))
+                .collect(),
+            depth_m,
+        }
+    };
     let input = SensorPlace { name: "DHB17".into(), depth_m: 17.0, is_input: true };
     Content {
         site_view: Some(SiteView {
@@ -512,6 +529,12 @@ pub fn closed() -> Content {
         events: content.held_out.iter().map(event).collect(),
         transfers: ["EW", "NS"].into_iter().flat_map(|c| SENSORS.map(|s| (c, s))).map(transfer).collect(),
         residuals: SENSORS.map(residual).to_vec(),
+        depth: Some(DepthView {
+            event: content.held_out[0].event.clone(),
+            component: "EW".into(),
+            pga_g: 0.11,
+            models: vec![over_depth("declared", 1.0), over_depth("corrected", 0.8)],
+        }),
         ..content
     }
 }
