@@ -6,6 +6,12 @@ use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+#[path = "support/python.rs"]
+mod python;
+
+/// Epochs enough for a test.
+const FEW: [&str; 3] = ["pretrain.epochs=20", "distill.epochs=5", "calibrate.epochs=10"];
+
 /// A place with a manifest, a truth and a run directory.
 struct Place {
     dir: tempfile::TempDir,
@@ -24,6 +30,34 @@ const EVENTS: [(&str, f64, f64); 8] = [
 ];
 
 impl Place {
+    /// The results as other programs read them.
+    fn export(&self) {
+        let mut command = Command::cargo_bin("flare-pipe").expect("the program is built");
+        let [manifest, runs, out] = ["site.toml", "runs", "out"].map(|name| self.path(name));
+        command
+            .current_dir(env!("CARGO_MANIFEST_DIR"))
+            .arg("export")
+            .arg(manifest)
+            .arg("--run-dir")
+            .arg(runs)
+            .arg("-o")
+            .arg(&out);
+        FEW.iter().for_each(|f| {
+            command.args(["--set", f]);
+        });
+        command.assert().success();
+        let packages = ["pandas", "mcap"];
+        let Some(python) = python::python("export", "import pandas, mcap", &packages) else { return };
+        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_export.py");
+        let read = std::process::Command::new(python).arg(script).arg(&out).output().expect("python");
+        assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
+        let lines = String::from_utf8_lossy(&read.stdout).lines().map(str::to_string).collect::<Vec<_>>();
+        assert_eq!(lines.len(), 2 * 2, "events, components: {lines:?}");
+        for line in lines {
+            assert!(line.ends_with("\t24\t6"), "depths of two models, record and five models: {line}");
+        }
+    }
+
     fn new(effect: &str) -> Self {
         let place = Self { dir: tempfile::tempdir().expect("a folder") };
         let smoke = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs/smoke.toml");
@@ -52,11 +86,10 @@ impl Place {
 
     /// Runs with few epochs and returns what was computed.
     fn run(&self, more: &[&str]) -> Vec<String> {
-        let few = ["pretrain.epochs=20", "distill.epochs=5", "calibrate.epochs=10"];
         let mut command = Command::cargo_bin("flare-pipe").expect("the program is built");
         command.current_dir(env!("CARGO_MANIFEST_DIR")).arg("run").arg(self.path("site.toml"));
         command.arg("--run-dir").arg(self.path("runs")).args(["--json", "-q"]).args(more);
-        few.iter().for_each(|f| {
+        FEW.iter().for_each(|f| {
             command.args(["--set", f]);
         });
         let output = command.output().expect("the program starts");
@@ -116,6 +149,7 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     check.current_dir(env!("CARGO_MANIFEST_DIR")).arg("check").arg(&corrected).assert().success();
     assert!(fs::read_to_string(corrected).expect("written").contains("kind = \"sensor_orientation\""));
     assert!(place.run(&[]).is_empty(), "everything is cached, the truth still gone");
+    place.export();
 
     // The same loop without FLARE-T compares the same replays, over whole records.
     assert_eq!(place.run(&["--pipeline", "diagnose"]), ["compare", "report"]);

@@ -2,6 +2,7 @@
 
 mod check;
 mod completions;
+mod export;
 mod gc;
 mod graph;
 mod init;
@@ -62,6 +63,8 @@ enum Command {
     Status(SiteArguments),
     /// Predict the response to one new event from its base motion and a short initial window
     Predict(predict::PredictArguments),
+    /// Write the results of a site as CSV and MCAP for other programs
+    Export(export::ExportArguments),
     /// Before any data: which effects could this array and split reveal, which are confusable
     Power(power::PowerArguments),
     /// Write the records of a twin site, whose truth a manifest does not declare
@@ -115,6 +118,7 @@ pub fn dispatch(arguments: Arguments) -> Result<()> {
         Command::Records(arguments) => records::records(&arguments, json),
         Command::Status(arguments) => status::status(&arguments, json),
         Command::Predict(arguments) => predict::predict(&arguments, json),
+        Command::Export(arguments) => export::export(&arguments, json),
         Command::Power(arguments) => power::power(&arguments, json),
         Command::Twin(arguments) => twin::twin(&arguments, json),
         Command::Twins(arguments) => twins::twins(&arguments, json),

@@ -3,12 +3,14 @@
 mod artifact;
 mod calibrate;
 mod ceiling;
+mod closed;
 mod compare;
 pub mod correct;
 mod dataset;
 mod diagnose;
 mod distill;
 mod evaluate;
+mod export;
 mod extend;
 mod generic;
 mod histories;
@@ -30,7 +32,9 @@ mod simulate;
 mod source_study;
 pub mod twins;
 
+pub use closed::Closed;
 pub use evaluate::Evaluation;
+pub use export::export;
 pub use pipelines::PIPELINES;
 pub use problem::Bench;
 pub use records::measured;
