@@ -17,6 +17,10 @@ const COLUMN_PX: [f64; 2] = [58.0, 150.0];
 const VELOCITY_PX: [f64; 2] = [262.0, 500.0];
 /// Top and bottom of both, px.
 const DEPTH_PX: [f64; 2] = [14.0, 380.0];
+/// Middle of the sensors, px.
+const SENSOR_PX: f64 = COLUMN_PX[1] + 10.0;
+/// Colours of layers by law.
+const TINTS: [&str; 4] = ["#efe3cf", "#dfe6d2", "#d5dfe8", "#e8d8d8"];
 /// Colour of what is named.
 const MARK: &str = "#cc0033";
 /// Height of a line of text, px.
@@ -82,10 +86,27 @@ fn y_px(site: &SiteView, depth_m: f64) -> f64 {
     DEPTH_PX[0] + depth_m / site.depth_m.max(1e-9) * (DEPTH_PX[1] - DEPTH_PX[0])
 }
 
+/// A drawing in the making.
+struct Drawing {
+    svg: String,
+}
+
+impl Drawing {
+    fn text(&mut self, x: f64, y: f64, anchor: &str, words: &str) {
+        let _ = write!(self.svg, r#"<text x="{x:.1}" y="{y:.1}" font-size="12" text-anchor="{anchor}">"#);
+        super::svg::escape(&mut self.svg, words);
+        self.svg.push_str("</text>");
+    }
+
+    fn line(&mut self, [x1, y1]: [f64; 2], [x2, y2]: [f64; 2], color: &str, width: f64) {
+        let _ = write!(
+            self.svg,
+            r#"<path d="M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}" stroke="{color}" stroke-width="{width}" fill="none"/>"#
+        );
+    }
+}
+
 fn column(site: &SiteView, effects: &[NamedEffect]) -> String {
-    let velocities = site.profiles.iter().flat_map(|p| p.tops.iter().map(|t| t[1]));
-    let top_m_s = nice(velocities.fold(0.0, f64::max) * 1.05);
-    let x_px = |vs: f64| VELOCITY_PX[0] + vs / top_m_s * (VELOCITY_PX[1] - VELOCITY_PX[0]);
     let names: Vec<String> =
         site.sensors.iter().map(|s| format!("{} at {} m", s.name, number::plain(s.depth_m))).collect();
     let alt = format!(
@@ -94,104 +115,116 @@ fn column(site: &SiteView, effects: &[NamedEffect]) -> String {
         site.layers.len(),
         names.join(", ")
     );
-    let mut out = format!(
+    let mut drawing = Drawing { svg: String::new() };
+    let _ = write!(
+        drawing.svg,
         r#"<svg viewBox="0 0 {} {}" width="{0}" height="{1}" {} role="img" aria-label=""#,
         SIZE[0],
         SIZE[1],
         super::svg::legible(SIZE[0])
     );
-    super::svg::escape(&mut out, &alt);
-    out.push_str("\">");
-    let text = |out: &mut String, x: f64, y: f64, anchor: &str, words: &str| {
-        let _ = write!(out, r#"<text x="{x:.1}" y="{y:.1}" font-size="12" text-anchor="{anchor}">"#);
-        super::svg::escape(out, words);
-        out.push_str("</text>");
-    };
-    let line = |out: &mut String, from: [f64; 2], to: [f64; 2], color: &str, width: f64| {
-        let [[x1, y1], [x2, y2]] = [from, to];
-        let _ = write!(
-            out,
-            r#"<path d="M{x1:.1} {y1:.1}L{x2:.1} {y2:.1}" stroke="{color}" stroke-width="{width}" fill="none"/>"#
-        );
-    };
-    // Layers of one law share a tint.
+    super::svg::escape(&mut drawing.svg, &alt);
+    drawing.svg.push_str("\">");
+    layers(&mut drawing, site);
+    sensors(&mut drawing, site);
+    marks(&mut drawing, site, effects);
+    velocities(&mut drawing, site);
+    drawing.svg.push_str("</svg>");
+    drawing.svg
+}
+
+/// Layers with their laws and depths, and the water table.
+fn layers(drawing: &mut Drawing, site: &SiteView) {
     let mut laws: Vec<&str> = Vec::new();
     let mut labelled_to = DEPTH_PX[0];
     for layer in &site.layers {
         if !laws.contains(&layer.law.as_str()) {
             laws.push(&layer.law);
         }
-        let tint =
-            ["#efe3cf", "#dfe6d2", "#d5dfe8", "#e8d8d8"][laws.iter().position(|l| *l == layer.law).unwrap_or(0) % 4];
+        // Layers of one law share a tint.
+        let tint = TINTS[laws.iter().position(|l| *l == layer.law).unwrap_or(0) % TINTS.len()];
         let (top, bottom) = (y_px(site, layer.top_m), y_px(site, layer.bottom_m));
         let _ = write!(
-            out,
+            drawing.svg,
             r##"<rect x="{}" y="{top:.1}" width="{}" height="{:.1}" fill="{tint}" stroke="#8a8f98" stroke-width=".8"/>"##,
             COLUMN_PX[0],
             COLUMN_PX[1] - COLUMN_PX[0],
             bottom - top
         );
-        let middle = 0.5 * (top + bottom) + 4.0;
         if bottom - top > LINE_PX {
-            let _ = write!(out, r##"<g class="on-tint">"##);
-            text(&mut out, 0.5 * (COLUMN_PX[0] + COLUMN_PX[1]), middle, "middle", &layer.law.replace('_', " "));
-            out.push_str("</g>");
+            drawing.svg.push_str(r#"<g class="on-tint">"#);
+            let (x, y) = (0.5 * (COLUMN_PX[0] + COLUMN_PX[1]), 0.5 * (top + bottom) + 4.0);
+            drawing.text(x, y, "middle", &layer.law.replace('_', " "));
+            drawing.svg.push_str("</g>");
         }
         if bottom - labelled_to > LINE_PX || layer.bottom_m >= site.depth_m {
             labelled_to = bottom;
-            text(&mut out, COLUMN_PX[0] - 5.0, bottom + 4.0, "end", &number::plain(layer.bottom_m));
+            drawing.text(COLUMN_PX[0] - 5.0, bottom + 4.0, "end", &number::plain(layer.bottom_m));
         }
     }
-    text(&mut out, COLUMN_PX[0] - 5.0, DEPTH_PX[0] + 4.0, "end", "0 m");
+    drawing.text(COLUMN_PX[0] - 5.0, DEPTH_PX[0] + 4.0, "end", "0 m");
     if let Some(depth_m) = site.water_table_m {
         let y = y_px(site, depth_m);
-        line(&mut out, [COLUMN_PX[0] - 3.0, y], [COLUMN_PX[1] + 3.0, y], "#0072b2", 2.0);
+        drawing.line([COLUMN_PX[0] - 3.0, y], [COLUMN_PX[1] + 3.0, y], "#0072b2", 2.0);
     }
-    // Names of sensors keep a line's distance from one another.
+}
+
+/// Sensors with their names, which keep a line's distance from one another.
+fn sensors(drawing: &mut Drawing, site: &SiteView) {
     let mut last = f64::NEG_INFINITY;
     let mut sensors: Vec<_> = site.sensors.iter().collect();
     sensors.sort_by(|a, b| a.depth_m.total_cmp(&b.depth_m));
     for sensor in sensors {
-        let y = y_px(site, sensor.depth_m);
-        let x = COLUMN_PX[1] + 10.0;
+        let (x, y) = (SENSOR_PX, y_px(site, sensor.depth_m));
         let shape = if sensor.is_input {
             format!("M{x:.1} {:.1}l5.5 10h-11z", y - 6.0)
         } else {
             format!("M{:.1} {y:.1}a5 5 0 1 0 10 0a5 5 0 1 0 -10 0z", x - 5.0)
         };
-        let _ = write!(out, r##"<path d="{shape}" fill="#d55e00"/>"##);
+        let _ = write!(drawing.svg, r##"<path d="{shape}" fill="#d55e00"/>"##);
         last = (y + 4.0).max(last + LINE_PX);
         let cut: String = sensor.name.chars().take(12).collect();
-        text(&mut out, x + 9.0, last, "start", &cut);
+        drawing.text(x + 9.0, last, "start", &cut);
     }
+}
+
+/// Where named effects sit.
+fn marks(drawing: &mut Drawing, site: &SiteView, effects: &[NamedEffect]) {
     for effect in effects {
         match place(site, effect) {
             Place::Sensor(i) => {
-                let (x, y) = (COLUMN_PX[1] + 10.0, y_px(site, site.sensors[i].depth_m));
+                let y = y_px(site, site.sensors[i].depth_m);
                 let _ = write!(
-                    out,
-                    r##"<circle cx="{x:.1}" cy="{y:.1}" r="9" fill="none" stroke="{MARK}" stroke-width="2"/>"##
+                    drawing.svg,
+                    r##"<circle cx="{SENSOR_PX}" cy="{y:.1}" r="9" fill="none" stroke="{MARK}" stroke-width="2"/>"##
                 );
             }
             Place::Depths([top_m, bottom_m]) => {
-                let (top, bottom) = (y_px(site, top_m), y_px(site, bottom_m));
-                let x = COLUMN_PX[1] + 2.0;
-                line(&mut out, [x, top - 1.0], [x, bottom + 1.0], MARK, 4.0);
+                let (x, top, bottom) = (COLUMN_PX[1] + 2.0, y_px(site, top_m), y_px(site, bottom_m));
+                drawing.line([x, top - 1.0], [x, bottom + 1.0], MARK, 4.0);
                 if top == bottom {
-                    line(&mut out, [COLUMN_PX[0], top], [x, top], MARK, 2.5);
+                    drawing.line([COLUMN_PX[0], top], [x, top], MARK, 2.5);
                 }
             }
             Place::Elsewhere => {}
         }
     }
-    line(&mut out, [VELOCITY_PX[0], DEPTH_PX[0]], [VELOCITY_PX[0], DEPTH_PX[1]], "#8a8f98", 1.0);
-    line(&mut out, [VELOCITY_PX[0], DEPTH_PX[1]], [VELOCITY_PX[1], DEPTH_PX[1]], "#8a8f98", 1.0);
+}
+
+/// Shear-wave velocities of the models over depth.
+fn velocities(drawing: &mut Drawing, site: &SiteView) {
+    let largest = site.profiles.iter().flat_map(|p| p.tops.iter().map(|t| t[1])).fold(0.0, f64::max);
+    let top_m_s = nice(largest * 1.05);
+    let x_px = |vs: f64| VELOCITY_PX[0] + vs / top_m_s * (VELOCITY_PX[1] - VELOCITY_PX[0]);
+    drawing.line([VELOCITY_PX[0], DEPTH_PX[0]], [VELOCITY_PX[0], DEPTH_PX[1]], "#8a8f98", 1.0);
+    drawing.line([VELOCITY_PX[0], DEPTH_PX[1]], [VELOCITY_PX[1], DEPTH_PX[1]], "#8a8f98", 1.0);
     for i in 0..=4 {
         let vs = top_m_s * f64::from(i) / 4.0;
-        line(&mut out, [x_px(vs), DEPTH_PX[1]], [x_px(vs), DEPTH_PX[1] + 4.0], "#8a8f98", 1.0);
-        text(&mut out, x_px(vs), DEPTH_PX[1] + 18.0, "middle", &number::plain(vs));
+        drawing.line([x_px(vs), DEPTH_PX[1]], [x_px(vs), DEPTH_PX[1] + 4.0], "#8a8f98", 1.0);
+        drawing.text(x_px(vs), DEPTH_PX[1] + 18.0, "middle", &number::plain(vs));
     }
-    text(&mut out, 0.5 * (VELOCITY_PX[0] + VELOCITY_PX[1]), DEPTH_PX[1] + 38.0, "middle", "Shear-wave velocity (m/s)");
+    let middle = 0.5 * (VELOCITY_PX[0] + VELOCITY_PX[1]);
+    drawing.text(middle, DEPTH_PX[1] + 38.0, "middle", "Shear-wave velocity (m/s)");
     for profile in &site.profiles {
         let Some(model) = models::of(&profile.model) else { continue };
         let ends = profile.tops.iter().skip(1).map(|t| t[0]).chain([site.depth_m]);
@@ -201,10 +234,9 @@ fn column(site: &SiteView, effects: &[NamedEffect]) -> String {
             let _ = write!(path, "{}{x:.1} {y:.1}V{:.1}", if i == 0 { 'M' } else { 'L' }, y_px(site, end));
         }
         let dash = model.dash.map(|dash| format!(r#" stroke-dasharray="{dash}""#)).unwrap_or_default();
-        let _ = write!(out, r#"<path d="{path}" stroke="{}" stroke-width="2"{dash} fill="none"/>"#, model.color);
+        let _ =
+            write!(drawing.svg, r#"<path d="{path}" stroke="{}" stroke-width="2"{dash} fill="none"/>"#, model.color);
     }
-    out.push_str("</svg>");
-    out
 }
 
 /// A round number of at least `value`.
