@@ -8,6 +8,7 @@ use super::figure::Section;
 use super::models::{self, Model};
 use super::number;
 use super::site_content::{EventView, ModelView, SensorView};
+use crate::metrics::arias_build_up_m_s;
 use crate::units::G_M_S2;
 
 /// Length of the strong part, s.
@@ -241,24 +242,18 @@ fn table(sensor: &SensorView, event: &EventView, content: &Content) -> Markup {
     }
 }
 
-/// The part of an event that holds most of the energy of its input.
+/// The part of an event from just before a twentieth of the energy of its input has arrived.
 fn strong_part(event: &EventView) -> (f64, f64) {
     let series = &event.input;
-    let n = (STRONG_S / series.step_s).round() as usize;
     let last = series.step_s * series.values.len().saturating_sub(1) as f64;
-    if n == 0 || series.values.len() <= n {
+    if last <= STRONG_S {
         return (0.0, last);
     }
-    let mut sum: f64 = series.values[..n].iter().map(|v| v * v).sum();
-    let (mut best, mut start) = (sum, 0);
-    for i in n..series.values.len() {
-        sum += series.values[i].powi(2) - series.values[i - n].powi(2);
-        if sum > best {
-            (best, start) = (sum, i + 1 - n);
-        }
-    }
+    let build_up = arias_build_up_m_s(&series.values, series.step_s);
+    let whole = build_up.last().copied().unwrap_or(0.0);
+    let first = build_up.iter().position(|energy| *energy >= 0.05 * whole).unwrap_or(0);
     // Whole seconds read better, and what comes first should not lie at the edge.
-    let from = (start as f64 * series.step_s - 1.0).floor().clamp(0.0, (last - STRONG_S).max(0.0));
+    let from = (first as f64 * series.step_s - 1.0).floor().clamp(0.0, last - STRONG_S);
     (from, from + STRONG_S)
 }
 
