@@ -72,36 +72,30 @@ impl DepthProfile {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::manifest::ColumnSections;
-
-    const SITE: &str = r#"
-        [site]
-        depth_m = 20.0
-        elements = 20
-        [[site.layer]]
-        thickness_m = 20.0
-        vs_m_s = 200.0
-        density_kg_m3 = 2000.0
-        law = "rock"
-        [law.rock]
-        kind = "elastic"
-        [sensors]
-        input = "base"
-        [[sensors.output]]
-        name = "top"
-        depth_m = 0.0
-    "#;
+    use crate::column::{Analysis, Layer, Profile};
 
     /// Slow shaking moves an elastic column as a body: stress is what the mass above needs, strain is stress over modulus.
     #[test]
     fn slow_motion_is_carried_by_the_stress_of_the_mass_above() {
-        let sections: ColumnSections = toml::from_str(SITE).unwrap();
-        let column = Column::new(&sections.profile().unwrap(), &sections.analysis).unwrap();
+        let layer: Layer = toml::from_str(
+            "thickness_m = 20.0\nvs_m_s = 200.0\ndensity_kg_m3 = 2000.0\nk0 = 0.5\nlaw_kind = 'elastic'\n[law]\n",
+        )
+        .unwrap();
+        let profile = Profile {
+            layers: vec![layer],
+            water_table_m: 20.0,
+            vertical: Default::default(),
+            rayleigh: Default::default(),
+            elements: 20,
+            features: Default::default(),
+        };
+        let analysis = Analysis::default();
+        let column = Column::new(&profile, &analysis).unwrap();
         let base: Vec<f64> = (0..4000)
             .map(|i| f64::from(i) * 0.01)
             .map(|t| 0.5 * (0.1 * std::f64::consts::TAU * t).sin() * (t / 10.0).min(1.0))
             .collect();
-        let found = DepthProfile::of(&column, &base, 0.01, sections.analysis.output_step_s).unwrap();
+        let found = DepthProfile::of(&column, &base, 0.01, analysis.output_step_s).unwrap();
         let modulus_pa = 2000.0 * 200.0 * 200.0;
         for (i, depth_m) in found.depth_m.iter().enumerate() {
             let stress_pa = 2000.0 * depth_m * 0.5;
