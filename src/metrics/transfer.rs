@@ -94,12 +94,12 @@ fn is_peak(frequencies_hz: &[f64], theory: &[f64], k: usize) -> bool {
 pub struct TransferCurves {
     /// Frequencies, Hz.
     pub frequencies_hz: Vec<f64>,
-    /// Mean of the recorded ln amplitude.
-    pub recorded_ln: Vec<f64>,
+    /// Mean of the recorded ln amplitude; none where a record holds nothing.
+    pub recorded_ln: Vec<Option<f64>>,
     /// Standard deviation of the recorded ln amplitude between events; empty with fewer than two.
-    pub recorded_sigma_ln: Vec<f64>,
-    /// Mean of the predicted ln amplitude by model, over the events that have it.
-    pub predicted_ln: BTreeMap<String, Vec<f64>>,
+    pub recorded_sigma_ln: Vec<Option<f64>>,
+    /// Mean of the predicted ln amplitude by model, over the events that have it; none where a prediction holds nothing.
+    pub predicted_ln: BTreeMap<String, Vec<Option<f64>>>,
     /// Events behind the recorded mean.
     pub n_event: usize,
 }
@@ -108,19 +108,20 @@ impl TransferCurves {
     /// Of ln amplitudes at `frequencies_hz`, `[n_event][n_f]` each; `predicted` by model.
     pub fn of(frequencies_hz: &[f64], recorded: &[Vec<f64>], predicted: BTreeMap<String, Vec<Vec<f64>>>) -> Self {
         let n = frequencies_hz.len();
-        let recorded_ln = mean(recorded, n);
+        let finite =
+            |values: Vec<f64>| values.into_iter().map(|v| Some(v).filter(|v| v.is_finite())).collect::<Vec<_>>();
+        let recorded_mean = mean(recorded, n);
         let deviation = |k: usize| {
-            let squares: f64 = recorded.iter().map(|e| (e[k] - recorded_ln[k]).powi(2)).sum();
+            let squares: f64 = recorded.iter().map(|e| (e[k] - recorded_mean[k]).powi(2)).sum();
             (squares / (recorded.len() - 1) as f64).sqrt()
         };
-        let recorded_sigma_ln = if recorded.len() < 2 { Vec::new() } else { (0..n).map(deviation).collect() };
+        let sigma = if recorded.len() < 2 { Vec::new() } else { (0..n).map(deviation).collect() };
         let predicted = predicted.into_iter().filter(|(_, events)| !events.is_empty());
-        let predicted_ln = predicted.map(|(model, events)| (model, mean(&events, n))).collect();
         Self {
             frequencies_hz: frequencies_hz.to_vec(),
-            recorded_ln,
-            recorded_sigma_ln,
-            predicted_ln,
+            recorded_sigma_ln: finite(sigma),
+            predicted_ln: predicted.map(|(model, events)| (model, finite(mean(&events, n)))).collect(),
+            recorded_ln: finite(recorded_mean),
             n_event: recorded.len(),
         }
     }
@@ -168,6 +169,19 @@ mod tests {
     use crate::metrics::made_up::{observed, predicted};
     use crate::numerics::random;
     use rand_distr::{Distribution, StandardNormal};
+
+    #[test]
+    fn curves_of_no_event_or_of_silence_come_back_from_json() {
+        let f_hz = [1.0, 2.0];
+        let silent = vec![vec![0.5, f64::NEG_INFINITY]];
+        for (recorded, predicted) in
+            [(vec![], vec![]), (silent.clone(), silent), (vec![vec![0.1, 0.2], vec![0.3, 0.0]], vec![vec![0.0; 2]])]
+        {
+            let curves = TransferCurves::of(&f_hz, &recorded, BTreeMap::from([("declared".to_string(), predicted)]));
+            let text = serde_json::to_string(&curves).unwrap();
+            assert_eq!(serde_json::from_str::<TransferCurves>(&text).unwrap(), curves);
+        }
+    }
 
     #[test]
     fn correlation_is_that_of_scipy() {

@@ -208,13 +208,14 @@ fn of_model(six: &crate::diagnosis::Six<Option<f64>>, model: &str) -> Option<f64
 
 /// Transfer functions of weak events.
 pub fn transfers(found: &compare::Compared) -> Vec<TransferView> {
+    let numbers = |values: &[Option<f64>]| values.iter().map(|v| v.unwrap_or(f64::NAN)).collect::<Vec<f64>>();
     let of = |place: &SensorTransfer| TransferView {
         component: place.component.clone(),
         sensor: place.sensor.clone(),
         frequencies_hz: place.curves.frequencies_hz.clone(),
-        recorded_ln: place.curves.recorded_ln.clone(),
-        sigma_ln: place.curves.recorded_sigma_ln.clone(),
-        predicted_ln: place.curves.predicted_ln.clone().into_iter().collect(),
+        recorded_ln: numbers(&place.curves.recorded_ln),
+        sigma_ln: numbers(&place.curves.recorded_sigma_ln),
+        predicted_ln: place.curves.predicted_ln.iter().map(|(model, ln)| (model.clone(), numbers(ln))).collect(),
         n_event: place.curves.n_event,
     };
     found.summary.transfer.iter().filter(|place| place.curves.n_event > 0).map(of).collect()
