@@ -95,7 +95,7 @@ pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[Strin
     Error::all(wrong).map(|()| read)
 }
 
-/// All files that [`load`] may read, those of sensors that the manifest does not name included.
+/// All files that [`load()`] may read, those of sensors that the manifest does not name included.
 ///
 /// # Errors
 /// When the format is not known or the folder cannot be read.

@@ -1,6 +1,6 @@
 //! Measured records: one file format a file, registered in [`FORMATS`]; all values in m/s² once read.
 //!
-//! A [`Folder`] lists files, also of archives; a [`Format`] makes [`Channel`]s of one; [`load`] finds those of each sensor and component and
+//! A [`Folder`] lists files, also of archives; a [`Format`] makes [`Channel`]s of one; [`load()`] finds those of each sensor and component and
 //! brings them to one time axis and one azimuth. An event that lacks one component is kept and the gap listed; an event of which nothing is
 //! found is an error.
 

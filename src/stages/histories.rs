@@ -91,7 +91,7 @@ pub fn write(folder: &Path, channels: &[Channel], start_s: f64) -> Result<()> {
     write_json(&folder.join(INDEX), &index)
 }
 
-/// What [`write`] left in `folder`.
+/// What [`write()`] left in `folder`.
 ///
 /// # Errors
 /// When a file is not there or holds something else.
