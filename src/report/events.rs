@@ -4,10 +4,11 @@ use maud::{Markup, PreEscaped, html};
 
 use super::chart::{self, Axis, Curve, Frame, Marks};
 use super::content::{Content, Series};
-use super::figure::Section;
+use super::figure::{Section, swatch};
 use super::models::{self, Model};
 use super::number;
 use super::site_content::{EventView, ModelView, SensorView};
+use super::traces::peak;
 use crate::metrics::arias_build_up_m_s;
 use crate::units::G_M_S2;
 
@@ -33,9 +34,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
             @for model in &all {
                 label {
                     input type="checkbox" id={ "show-" (model.key) } checked[model.is_shown];
-                    svg viewBox="0 0 26 10" width="26" height="10" aria-hidden="true" {
-                        path d="M1 5H25" stroke=(model.color) stroke-width="2.6" stroke-dasharray=[model.dash] {}
-                    }
+                    (swatch(model.color, model.dash))
                     (model.name)
                 }
             }
@@ -67,10 +66,6 @@ fn peaks(event: &EventView) -> String {
 
 fn recorded(sensor: &SensorView) -> Option<&ModelView> {
     sensor.models.iter().find(|m| m.model == "record")
-}
-
-fn peak(series: &Series) -> f64 {
-    series.values.iter().filter(|v| v.is_finite()).fold(0.0, |peak, v| v.abs().max(peak))
 }
 
 fn view(event: &EventView, content: &Content) -> Markup {

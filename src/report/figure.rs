@@ -26,15 +26,22 @@ pub(super) struct Key<'a> {
     pub dash: Option<&'a str>,
 }
 
+/// A piece of a curve, for a legend.
+pub(super) fn swatch(color: &str, dash: Option<&str>) -> Markup {
+    html! {
+        svg viewBox="0 0 26 10" width="26" height="10" aria-hidden="true" {
+            path d="M1 5H25" stroke=(color) stroke-width="2.6" stroke-dasharray=[dash] {}
+        }
+    }
+}
+
 /// A legend of curves.
 pub(super) fn legend(keys: &[Key]) -> Markup {
     html! {
         ul.legend {
             @for key in keys {
                 li {
-                    svg viewBox="0 0 26 10" width="26" height="10" aria-hidden="true" {
-                        path d="M1 5H25" stroke=(key.color) stroke-width="2.6" stroke-dasharray=[key.dash] {}
-                    }
+                    (swatch(key.color, key.dash))
                     (key.name)
                 }
             }

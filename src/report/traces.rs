@@ -74,7 +74,7 @@ fn of_models<T: ?Sized>(trace: [Option<&T>; 3]) -> Vec<(&T, &'static str, f64)> 
 }
 
 /// The peak of a series over its finite samples.
-fn peak(series: &Series) -> f64 {
+pub(super) fn peak(series: &Series) -> f64 {
     series.values.iter().filter(|v| v.is_finite()).fold(0.0, |top, v| v.abs().max(top))
 }
 
