@@ -82,7 +82,7 @@ fn every_fault_is_named_with_file_line_value_and_remedy() {
         (SOUND.replace(",0.02\n", "\n"), vec!["line 5 has 2 values, the header has 3"]),
         (SOUND.replace("surface", "surfase"), vec!["no channel `surface`", "`surfase`", "nearest: `surfase`"]),
         (SOUND.replace("time_s", "t"), vec!["no column `time_s`"]),
-        (SOUND.replace("time_s,borehole", "time_s,surface"), vec!["no channel `borehole`"]),
+        (SOUND.replace("time_s,borehole", "time_s,depth"), vec!["no channel `borehole`"]),
         (SOUND.replace("borehole,surface", "borehole,borehole"), vec!["column `borehole` comes twice"]),
         (String::new(), vec!["the file is empty"]),
         ("time_s,borehole,surface\n".into(), vec!["0 samples"]),
@@ -296,17 +296,20 @@ fn all_fksh11_records_are_read_as_they_are() {
 #[test]
 fn the_raw_kiknet_event_is_read_and_agrees_with_its_stated_peaks() {
     let Some(dir) = measured("kiknet-ascii") else { return };
-    let mut wanted = settings(&["2401011610"], &["NS", "EW", "UD"]);
+    let mut wanted = settings(&["2401011610"], &["NS", "EW"]);
     wanted.format = "kiknet".into();
     wanted.options = toml::from_str("station = 'NIGH18'").unwrap();
     let refused = load(&wanted, &dir, "borehole", &outputs()).unwrap_err().to_string();
     assert!(refused.contains("records.unit = \"gal\""), "{refused}");
     wanted.unit = Some(AccelerationUnit::Gal);
     let read = load(&wanted, &dir, "borehole", &outputs()).unwrap();
-    assert_eq!(read.records.len(), 3);
+    assert_eq!(read.records.len(), 2);
     let ns = &read.records[0].1;
     assert_eq!((ns.dt_s, ns.n_step()), (0.01, 30_000));
     assert!((ns.input_pga_m_s2() - 0.51045).abs() < 1e-4);
+    wanted.components = vec!["UD".into()];
+    let vertical = load(&wanted, &dir, "borehole", &outputs()).unwrap_err();
+    assert!(vertical.to_string().contains("is vertical") && vertical.hint_text().unwrap().contains("horizontal"));
 }
 
 #[test]
