@@ -33,13 +33,7 @@ pub fn export(arguments: &ExportArguments, json: bool) -> Result<()> {
             .hint("a loop is closed with records: add them and run again")
             .usage()
     })?;
-    let closed = Closed {
-        compare: folder("compare")?,
-        manifests: [folder("recalibrate")?, folder("correct")?],
-        records: folder("records")?,
-        settings,
-        declared: sections.column(),
-    };
+    let closed = Closed::read(folder, settings, sections.column())?;
     let files = write(&closed, &arguments.output)?;
     if json {
         return write_json(&files);

@@ -163,7 +163,7 @@ fn scan(dir: &Path, named: &[[String; 3]], unit: Option<AccelerationUnit>) -> Re
         ["NS", "EW"].contains(&component).then(|| (event.to_string(), component.to_string()))
     };
     if !named.is_empty() {
-        return by_channel(dir, &folder, named, unit);
+        return by_channel(dir, named, unit);
     }
     let names = |of: &dyn Fn(&Source) -> Option<(String, String)>| folder.sources().iter().filter_map(of).unzip();
     let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&csv_name);
@@ -187,32 +187,17 @@ fn scan(dir: &Path, named: &[[String; 3]], unit: Option<AccelerationUnit>) -> Re
             channels,
         });
     }
-    by_channel(dir, &folder, named, unit)
+    by_channel(dir, named, unit)
 }
 
 /// A folder whose channels are `named`, each event being a file, a folder or an archive.
-fn by_channel(
-    dir: &Path,
-    folder: &records::Folder,
-    named: &[[String; 3]],
-    unit: Option<AccelerationUnit>,
-) -> Result<Folder> {
+fn by_channel(dir: &Path, named: &[[String; 3]], unit: Option<AccelerationUnit>) -> Result<Folder> {
     let settings = RecordSettings { unit, ..RecordSettings::any() };
-    let (mut events, mut first) = (BTreeSet::new(), Vec::new());
-    for event in folder.sources().iter().map(Source::event).collect::<BTreeSet<_>>() {
-        let found = records::channels(&settings, dir, event).map_err(Error::usage)?;
-        if found.is_empty() {
-            continue;
-        }
-        events.insert(event.to_string());
-        if first.is_empty() {
-            first = found;
-        }
-    }
-    if events.is_empty() {
+    let events = records::channels(&settings, dir).map_err(Error::usage)?;
+    let Some(first) = events.values().next() else {
         let hint = "`flare-pipe list formats` names what can be read; CSV files are called `EVENT.COMPONENT.csv`";
         return Err(Error::new(format!("there are no records in `{}`", dir.display())).hint(hint).usage());
-    }
+    };
     if named.is_empty() {
         let seen: Vec<String> = first.iter().map(records::Channel::described).collect();
         let hint = format!(
@@ -231,7 +216,7 @@ fn by_channel(
     Ok(Folder {
         dir: dir.into(),
         format: records::ANY,
-        events,
+        events: events.keys().cloned().collect(),
         components: named.iter().map(|[_, component, _]| component.clone()).collect(),
         vertical: BTreeSet::new(),
         says_unit: unit.is_none(),

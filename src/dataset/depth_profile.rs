@@ -19,10 +19,21 @@ pub struct DepthProfile {
     pub pore_ratio: Vec<f64>,
     /// Element with the largest strain.
     pub weakest: usize,
-    /// Strain of that element at each output step.
-    pub loop_gamma: Vec<f64>,
-    /// Stress of that element, Pa.
-    pub loop_tau_pa: Vec<f64>,
+    /// Times of the histories, s.
+    pub time_s: Vec<f64>,
+    /// History of each element.
+    pub histories: Vec<ElementHistory>,
+}
+
+/// One element over a motion, in single precision: enough to draw, and a long motion of many elements fits into memory.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct ElementHistory {
+    /// Shear strain.
+    pub gamma: Vec<f32>,
+    /// Shear stress, Pa.
+    pub tau_pa: Vec<f32>,
+    /// Excess pore pressure, Pa.
+    pub excess_pore_pa: Vec<f32>,
 }
 
 impl DepthProfile {
@@ -40,12 +51,11 @@ impl DepthProfile {
             gamma: vec![0.0; n],
             tau_pa: vec![0.0; n],
             pore_ratio: vec![0.0; n],
+            histories: vec![ElementHistory::default(); n],
             depth_m,
             ..Self::default()
         };
         let before_pa = column.vertical_effective_stress_pa();
-        // Single precision is enough to draw, and a long motion of many elements fits into memory.
-        let mut histories: Vec<[Vec<f32>; 2]> = vec![Default::default(); n];
         let mut read = |frame: &Frame<'_>| {
             let largest = |into: &mut [f64], from: &[f64]| {
                 into.iter_mut().zip(from).for_each(|(m, v)| *m = m.max(v.abs()));
@@ -53,18 +63,17 @@ impl DepthProfile {
             largest(&mut found.acceleration_m_s2, frame.elements_m_s2);
             largest(&mut found.gamma, frame.gamma);
             largest(&mut found.tau_pa, frame.tau_pa);
-            for i in 0..n {
+            found.time_s.push(frame.time_s);
+            for (i, history) in found.histories.iter_mut().enumerate() {
                 found.pore_ratio[i] = found.pore_ratio[i].max(frame.excess_pore_pa[i] / before_pa[i].max(1.0));
-                histories[i][0].push(frame.gamma[i] as f32);
-                histories[i][1].push(frame.tau_pa[i] as f32);
+                history.gamma.push(frame.gamma[i] as f32);
+                history.tau_pa.push(frame.tau_pa[i] as f32);
+                history.excess_pore_pa.push(frame.excess_pore_pa[i] as f32);
             }
             Ok(())
         };
         column.run(step_s, &base, &mut read).map_err(|failure| Error::new(failure.to_string()))?;
         found.weakest = (0..n).max_by(|a, b| found.gamma[*a].total_cmp(&found.gamma[*b])).unwrap_or(0);
-        if let Some([gamma, tau]) = histories.get(found.weakest) {
-            [found.loop_gamma, found.loop_tau_pa] = [gamma, tau].map(|x| x.iter().map(|v| f64::from(*v)).collect());
-        }
         Ok(found)
     }
 }
@@ -109,7 +118,9 @@ mod tests {
         }
         assert_eq!(found.weakest, 19);
         assert!(found.pore_ratio.iter().all(|r| *r == 0.0));
-        let peak = found.loop_gamma.iter().fold(0.0f64, |m, v| m.max(v.abs()));
-        assert!((peak / found.gamma[19] - 1.0).abs() < 1e-6 && found.loop_tau_pa.len() == found.loop_gamma.len());
+        let weakest = &found.histories[19];
+        let peak = weakest.gamma.iter().fold(0.0f64, |m, v| m.max(f64::from(v.abs())));
+        assert!((peak / found.gamma[19] - 1.0).abs() < 1e-6);
+        assert!(weakest.tau_pa.len() == found.time_s.len() && weakest.gamma.len() == found.time_s.len());
     }
 }

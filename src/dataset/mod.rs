@@ -11,7 +11,7 @@ mod sampler;
 mod writer;
 
 pub use coarse::{Coarse, pick_channels};
-pub use depth_profile::DepthProfile;
+pub use depth_profile::{DepthProfile, ElementHistory};
 pub use index::{Index, IndexCase, IndexSensor, Outcome};
 pub use normalisation::{Accumulator, Normalisation};
 pub use observation::{Observation, observation_matrix};

@@ -26,7 +26,15 @@ pub struct Six<T> {
     pub ceiling: T,
 }
 
+/// Names of the predictions among [`Six`], in their order.
+pub const PREDICTIONS: [&str; 5] = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
+
 impl<T> Six<T> {
+    /// The value of that name.
+    pub fn get(&self, name: &str) -> Option<&T> {
+        self.named().into_iter().find(|(own, _)| *own == name).map(|(_, value)| value)
+    }
+
     /// Names and values in order.
     pub fn named(&self) -> [(&'static str, &T); 7] {
         [
@@ -138,19 +146,15 @@ impl ErrorRow {
     fn error(&self, measure: Claimed, model: &str) -> Option<f64> {
         let of_field = || self.measures.get(model)?.as_ref();
         match measure {
-            Claimed::NrmsePercent => of_model(&self.nrmse_percent, model),
+            Claimed::NrmsePercent => self.nrmse_percent.get(model).copied().flatten(),
             Claimed::LnFourier => of_field()?.ln_fourier_by_hz.rms,
             Claimed::LnPsa => of_field()?.ln_psa_by_s.rms,
-            Claimed::CoherentNrmsePercent => of_model(&self.nrmse_coherent_percent, model),
+            Claimed::CoherentNrmsePercent => self.nrmse_coherent_percent.get(model).copied().flatten(),
             Claimed::LnPga => of_field()?.ln_pga.map(f64::abs),
             Claimed::LnArias => of_field()?.ln_arias.map(f64::abs),
             Claimed::LnDuration => of_field()?.ln_duration_5_95.map(f64::abs),
         }
     }
-}
-
-fn of_model(six: &Six<Option<f64>>, model: &str) -> Option<f64> {
-    six.named().iter().find(|(name, _)| *name == model)?.1.as_ref().copied()
 }
 
 impl Summary {
@@ -169,7 +173,7 @@ impl Summary {
         };
         let middle = |values: Vec<f64>| (!values.is_empty()).then(|| median(&values));
         let median_of = |pick: fn(&ErrorRow) -> &Six<Option<f64>>| {
-            let values = |name: &&str| tests.iter().filter_map(|row| of_model(pick(row), name)).collect();
+            let values = |name: &&str| tests.iter().filter_map(|row| pick(row).get(name).copied().flatten()).collect();
             names.map(|name| middle(values(name)))
         };
         let over_events = |measure: Claimed, name: &str| {
@@ -202,9 +206,8 @@ impl Summary {
 /// Which held-out records a prediction lacks that others have, in sentences: medians and claims are then of other records.
 pub fn missing_predictions(rows: &[ErrorRow]) -> Vec<String> {
     let tests = || rows.iter().filter(|row| row.split == Split::Test);
-    let predictions = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
     let of = |model: &str| {
-        let has = |row: &&ErrorRow| of_model(&row.nrmse_percent, model).is_some();
+        let has = |row: &&ErrorRow| row.nrmse_percent.get(model).is_some_and(Option::is_some);
         let mut lacking: Vec<String> =
             tests().filter(|row| !has(row)).map(|r| format!("{} {}", r.event, r.component)).collect();
         lacking.dedup();
@@ -216,7 +219,7 @@ pub fn missing_predictions(rows: &[ErrorRow]) -> Vec<String> {
             )
         })
     };
-    predictions.into_iter().filter_map(of).collect()
+    PREDICTIONS.into_iter().filter_map(of).collect()
 }
 
 /// The field's measures of each model over `rows`.

@@ -10,7 +10,7 @@ mod problem;
 mod settings;
 pub(crate) mod spectra;
 
-pub use comparison::{Change, ErrorRow, Six, Summary, missing_predictions};
+pub use comparison::{Change, ErrorRow, PREDICTIONS, Six, Summary, missing_predictions};
 pub use floor::noise_deviation_m_s2;
 pub use generic::{GenericCorrection, Pair, fit as fit_generic};
 pub use noise::{USUAL_SHARE, denoised, noise, signal_band_hz};

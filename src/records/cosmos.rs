@@ -68,16 +68,7 @@ impl Format for Cosmos {
 
     fn read(&self, source: &Source, bytes: &[u8], reading: &Reading) -> Result<Vec<Channel>> {
         let text = String::from_utf8_lossy(bytes);
-        let mut lines = Lines::new(&text);
-        let mut channels = Vec::new();
-        loop {
-            lines.skip_empty();
-            if lines.peek().is_none() {
-                return Ok(channels);
-            }
-            let order = channels.len() + 1;
-            channels.extend(channel(&mut lines, source, order, reading)?);
-        }
+        Lines::new(&text).channels(|lines, order| channel(lines, source, order, reading))
     }
 }
 

@@ -44,15 +44,7 @@ impl Format for Csmip {
 
     fn read(&self, source: &Source, bytes: &[u8], reading: &Reading) -> Result<Vec<Channel>> {
         let text = String::from_utf8_lossy(bytes);
-        let mut lines = Lines::new(&text);
-        let mut channels = Vec::new();
-        loop {
-            lines.skip_empty();
-            if lines.peek().is_none() {
-                return Ok(channels);
-            }
-            channels.push(channel(&mut lines, source, channels.len() + 1, reading)?);
-        }
+        Lines::new(&text).channels(|lines, order| channel(lines, source, order, reading).map(Some))
     }
 }
 

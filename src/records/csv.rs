@@ -77,8 +77,7 @@ pub struct Table {
 /// As [`columns`]; when neither says the unit, or the two differ.
 pub fn read(path: &Path, names: &[&str], unit: Option<AccelerationUnit>) -> Result<Table> {
     let place = |e: Error| e.at(format!("`{}`", path.display()));
-    let reading = Reading { unit, is_wanted: &|_| true, companions: &[] };
-    let unit = reading.unit(unit_in(path)?).map_err(place)?;
+    let unit = super::unit(unit, unit_in(path)?).map_err(place)?;
     columns(opened(path)?, names, unit.m_s2()).map_err(place)
 }
 

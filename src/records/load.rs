@@ -5,12 +5,15 @@ use super::channel::{Channel, Orientation};
 use super::folder::{Folder, Source};
 use super::record::{Record, Sensor};
 use super::settings::{Names, RecordSettings, Split};
+use super::stationxml::{self, Responses};
 use super::{ANY, FORMATS, Format, Reading, Role, Usual};
 use crate::error::{Error, Result};
 use crate::registry;
 use jiff::civil::DateTime;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 /// Bytes by which a format is told.
 const HEAD: usize = 4096;
@@ -112,15 +115,19 @@ pub fn files(settings: &RecordSettings, dir: &Path) -> Result<Vec<PathBuf>> {
     Ok(files)
 }
 
-/// All channels of the files in `dir` whose names begin with `event`, whatever their format.
+/// All channels in `dir` by event, a file, a folder or an archive being an event, whatever the format; events without channels are left out.
 ///
 /// # Errors
 /// When a file that is of a known format is not sound.
-pub fn channels(settings: &RecordSettings, dir: &Path, event: &str) -> Result<Vec<Channel>> {
+pub fn channels(settings: &RecordSettings, dir: &Path) -> Result<BTreeMap<String, Vec<Channel>>> {
     let reader = Reader::new(settings, dir, "", &[])?;
-    let read = |source: &Source| reader.read(source, &|_| true).transpose();
-    let found: Vec<Vec<Channel>> = reader.sources(event).into_iter().filter_map(read).collect::<Result<_>>()?;
-    Ok(found.into_iter().flatten().collect())
+    let mut found: BTreeMap<String, Vec<Channel>> = BTreeMap::new();
+    for source in reader.folder.sources() {
+        if let Some(channels) = reader.read(source, &|_| true)?.filter(|channels| !channels.is_empty()) {
+            found.entry(source.event().to_string()).or_default().extend(channels);
+        }
+    }
+    Ok(found)
 }
 
 /// How the files of a site are read.
@@ -130,6 +137,7 @@ struct Reader<'a> {
     folder: Folder,
     formats: Vec<Box<dyn Format>>,
     sensors: Vec<&'a str>,
+    responses: OnceLock<Responses>,
 }
 
 /// Where the channel of a role may be.
@@ -192,7 +200,7 @@ impl<'a> Reader<'a> {
             let what = format!("`records.channels.{unknown}` is of no sensor");
             return Err(Error::new(what).hint(registry::known(&sensors, unknown)).usage());
         }
-        Ok(Self { settings, dir, folder: Folder::open(dir)?, formats, sensors })
+        Ok(Self { settings, dir, folder: Folder::open(dir)?, formats, sensors, responses: OnceLock::new() })
     }
 
     fn sources(&self, event: &str) -> Vec<&Source> {
@@ -204,9 +212,21 @@ impl<'a> Reader<'a> {
         sources
     }
 
-    fn companions(&self) -> Vec<&Source> {
-        let is_one = |source: &&Source| self.formats.iter().any(|format| format.is_companion(&source.name));
-        self.folder.sources().iter().filter(is_one).collect()
+    fn is_companion(&self, source: &Source) -> bool {
+        self.formats.iter().any(|format| format.is_companion(&source.name))
+    }
+
+    fn companions(&self) -> impl Iterator<Item = &Source> {
+        self.folder.sources().iter().filter(|source| self.is_companion(source))
+    }
+
+    /// What companions say of channels.
+    fn responses(&self) -> Result<&Responses> {
+        if let Some(known) = self.responses.get() {
+            return Ok(known);
+        }
+        let read = stationxml::read(self.companions())?;
+        Ok(self.responses.get_or_init(|| read))
     }
 
     fn places(&self, event: &str, component: &str, sensor: &'a str) -> Result<Places<'_>> {
@@ -243,7 +263,7 @@ impl<'a> Reader<'a> {
 
     /// The channels of a file; none where it is of no format that is asked for.
     fn read(&self, source: &Source, is_wanted: &dyn Fn(&str) -> bool) -> Result<Option<Vec<Channel>>> {
-        if self.formats.iter().any(|format| format.is_companion(&source.name)) {
+        if self.is_companion(source) {
             return Ok(None);
         }
         let bytes = source.bytes()?;
@@ -251,8 +271,8 @@ impl<'a> Reader<'a> {
         let Some(format) = self.formats.iter().find(|format| format.recognises(&source.name, head)) else {
             return Ok(None);
         };
-        let companions = self.companions();
-        let reading = Reading { unit: self.settings.unit, is_wanted, companions: &companions };
+        let responses = || self.responses();
+        let reading = Reading { unit: self.settings.unit, is_wanted, responses: &responses };
         format.read(source, &bytes, &reading).map(Some).map_err(|e| e.at(format!("`{}`", source.shown())))
     }
 

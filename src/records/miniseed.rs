@@ -7,7 +7,7 @@
 //! Source: SEED Reference Manual 2.4 (FDSN), chapter 8 (fixed header, blockettes 100, 1000, 1001) and appendix B (Steim).
 
 use super::channel::{Channel, Orientation};
-use super::stationxml::{self, Response};
+use super::stationxml::Responses;
 use super::{Format, Reading, Source};
 use crate::error::{Error, Result};
 use crate::registry::{Entry, params};
@@ -55,8 +55,8 @@ impl Format for MiniSeed {
             let Some(segment) = segment else { continue };
             traces.entry(code).or_default().push(segment);
         }
-        let responses = stationxml::read(reading.companions)?;
-        let channel = |(code, segments): (String, Vec<Segment>)| channel(source, code, segments, &responses, reading);
+        let responses = (reading.responses)()?;
+        let channel = |(code, segments): (String, Vec<Segment>)| channel(source, code, segments, responses, reading);
         traces.into_iter().map(channel).collect()
     }
 }
@@ -81,7 +81,7 @@ fn channel(
     source: &Source,
     code: String,
     mut segments: Vec<Segment>,
-    responses: &BTreeMap<String, Response>,
+    responses: &Responses,
     reading: &Reading,
 ) -> Result<Channel> {
     let place = |e: Error| e.at(format!("channel `{code}`"));

@@ -33,6 +33,7 @@ pub use settings::{DeclaredNoise, RecordSettings, Split};
 use crate::error::{Error, Result};
 use crate::registry::Entry;
 use crate::units::AccelerationUnit;
+use stationxml::Responses;
 
 /// The record formats that can be read.
 pub const FORMATS: &[Entry<dyn Format>] =
@@ -70,8 +71,8 @@ pub struct Reading<'a> {
     unit: Option<AccelerationUnit>,
     /// Whether a channel of this name may be asked for.
     is_wanted: &'a dyn Fn(&str) -> bool,
-    /// Files that say more about the channels, see [`Format::is_companion`].
-    companions: &'a [&'a Source],
+    /// What the files say that [`Format::is_companion`] names; read once, when first asked for.
+    responses: &'a dyn Fn() -> Result<&'a Responses>,
 }
 
 impl Reading<'_> {
@@ -80,17 +81,21 @@ impl Reading<'_> {
     /// # Errors
     /// When both are there and differ, or neither is.
     pub fn unit(&self, stated: Option<AccelerationUnit>) -> Result<AccelerationUnit> {
-        match (self.unit, stated) {
-            (Some(declared), Some(stated)) if declared != stated => {
-                let what = format!("the file says that it is in {stated}, but {declared} is declared");
-                Err(Error::new(what).hint(format!("leave `records.unit` out, or set `records.unit = \"{stated}\"`")))
-            }
-            (declared, stated) => declared.or(stated).ok_or_else(|| {
-                let hint =
-                    "set `records.unit` to `g`, `gal` or `m/s2`, or write `# unit: gal` above the header of a CSV";
-                Error::new("nothing says in what unit the accelerations are").hint(hint).usage()
-            }),
+        unit(self.unit, stated)
+    }
+}
+
+/// The unit: what a file states, or else what is declared.
+fn unit(declared: Option<AccelerationUnit>, stated: Option<AccelerationUnit>) -> Result<AccelerationUnit> {
+    match (declared, stated) {
+        (Some(declared), Some(stated)) if declared != stated => {
+            let what = format!("the file says that it is in {stated}, but {declared} is declared");
+            Err(Error::new(what).hint(format!("leave `records.unit` out, or set `records.unit = \"{stated}\"`")))
         }
+        (declared, stated) => declared.or(stated).ok_or_else(|| {
+            let hint = "set `records.unit` to `g`, `gal` or `m/s2`, or write `# unit: gal` above the header of a CSV";
+            Error::new("nothing says in what unit the accelerations are").hint(hint).usage()
+        }),
     }
 }
 

@@ -40,12 +40,15 @@ impl Response {
     }
 }
 
-/// The channels of the StationXML files among `sources`, by code; the last epoch of each.
+/// Channels by code.
+pub type Responses = BTreeMap<String, Response>;
+
+/// The channels of the StationXML files `sources`; the last epoch of each.
 ///
 /// # Errors
 /// When a file cannot be read, or a number in it is none.
-pub fn read(sources: &[&Source]) -> Result<BTreeMap<String, Response>> {
-    let mut found = BTreeMap::new();
+pub fn read<'a>(sources: impl Iterator<Item = &'a Source>) -> Result<Responses> {
+    let mut found = Responses::new();
     for source in sources {
         let bytes = source.bytes()?;
         add(&String::from_utf8_lossy(&bytes), &mut found).map_err(|e| e.at(format!("`{}`", source.shown())))?;
@@ -53,7 +56,7 @@ pub fn read(sources: &[&Source]) -> Result<BTreeMap<String, Response>> {
     Ok(found)
 }
 
-fn add(text: &str, found: &mut BTreeMap<String, Response>) -> Result<()> {
+fn add(text: &str, found: &mut Responses) -> Result<()> {
     let unsound = |e: roxmltree::Error| Error::new("the file is no XML").cause(e).hint("download it again");
     let document = roxmltree::Document::parse(text.trim_start_matches('\u{feff}')).map_err(unsound)?;
     let children = |node: roxmltree::Node<'_, '_>, name: &'static str| {

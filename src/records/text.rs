@@ -1,5 +1,6 @@
 //! The lines of a text file, numbers of fixed width in them, and errors that name the line.
 
+use super::channel::Channel;
 use crate::error::{Error, Result};
 
 /// The lines of a file from one on.
@@ -36,6 +37,24 @@ impl<'a> Lines<'a> {
     pub fn skip_empty(&mut self) {
         while self.peek().is_some_and(|line| line.trim().is_empty()) {
             self.next += 1;
+        }
+    }
+
+    /// What `read` makes of the channels that follow one another to the end of the file; it gets their numbers from 1.
+    ///
+    /// # Errors
+    /// That of the first channel with one.
+    pub fn channels(
+        mut self,
+        mut read: impl FnMut(&mut Self, usize) -> Result<Option<Channel>>,
+    ) -> Result<Vec<Channel>> {
+        let mut found = Vec::new();
+        loop {
+            self.skip_empty();
+            if self.peek().is_none() {
+                return Ok(found);
+            }
+            found.extend(read(&mut self, found.len() + 1)?);
         }
     }
 

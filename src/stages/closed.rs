@@ -4,6 +4,7 @@ use super::instrument::Instrument;
 use super::{compare, correct, histories, records};
 use crate::column::Column;
 use crate::dataset::DepthProfile;
+use crate::diagnosis::PREDICTIONS;
 use crate::effects::Situation;
 use crate::error::Result;
 use crate::manifest::ColumnSections;
@@ -23,71 +24,63 @@ const SPECTRUM_STEP_S: f64 = 0.005;
 /// Longest period of the spectra, s.
 const LONGEST_S: f64 = 10.0;
 
-/// Folders of the stages, and the sections of the manifest that say what is in them.
+/// What is read of the outputs of the stages.
 #[derive(Debug, Clone)]
 pub struct Closed {
-    /// Output of the comparison.
+    /// Folder of the comparison.
     pub compare: PathBuf,
-    /// Outputs with the recalibrated and the corrected manifest.
-    pub manifests: [PathBuf; 2],
-    /// Output with the records.
-    pub records: PathBuf,
-    /// `[records]`
-    pub settings: RecordSettings,
-    /// The declared column.
-    pub declared: ColumnSections,
+    /// The column as declared, recalibrated and corrected.
+    pub models: [(&'static str, ColumnSections); 3],
+    /// Records with their split.
+    pub records: Vec<(Split, Record)>,
+    settings: RecordSettings,
 }
 
-/// A column and its motion.
+/// A column shaken by the motion of one component of an event.
 pub struct Shaken {
-    /// The column.
-    pub column: Column,
-    /// Step of the motion, s.
-    pub dt_s: f64,
-    /// Motion at the base, m/s².
-    pub base_m_s2: Vec<f64>,
-    /// Step of the output, s.
-    pub output_step_s: f64,
+    /// `declared` or `corrected`.
+    pub model: &'static str,
+    /// Largest acceleration at the base, g.
+    pub pga_g: f64,
+    /// What it does over depth.
+    pub profile: DepthProfile,
 }
-
-/// Stages whose outputs are read.
-pub const ROLES: [&str; 4] = ["compare", "recalibrate", "correct", "records"];
 
 impl Closed {
     /// Of the inputs of a stage; none where it does not have them.
     ///
     /// # Errors
-    /// When a section of the manifest is missing.
+    /// When a section of the manifest is missing, or an output cannot be read.
     pub fn of(task: &Task<'_>) -> Result<Option<Self>> {
-        if !ROLES.iter().all(|role| task.has_input(role)) {
+        if !["compare", "recalibrate", "correct", "records"].iter().all(|role| task.has_input(role)) {
             return Ok(None);
         }
         let folder = |role: &str| task.input(role).map(Path::to_path_buf);
-        Ok(Some(Self {
+        Self::read(folder, task.section("records")?, records::column(task)?).map(Some)
+    }
+
+    /// Of the folders of the stages with `[records]` and the declared column.
+    ///
+    /// # Errors
+    /// When an output cannot be read.
+    pub fn read(
+        folder: impl Fn(&str) -> Result<PathBuf>,
+        settings: RecordSettings,
+        declared: ColumnSections,
+    ) -> Result<Self> {
+        let of = |stage: &str| with_effects_of(&folder(stage)?.join(correct::FILE), &declared);
+        let (recalibrated, corrected) = (of("recalibrate")?, of("correct")?);
+        Ok(Self {
             compare: folder("compare")?,
-            manifests: [folder("recalibrate")?, folder("correct")?],
-            records: folder("records")?,
-            settings: task.section("records")?,
-            declared: records::column(task)?,
-        }))
+            records: records::read(&folder("records")?, &settings, &declared.sensors)?.records,
+            models: [("declared", declared), ("recalibrated", recalibrated), ("corrected", corrected)],
+            settings,
+        })
     }
 
-    /// Records with their split.
-    ///
-    /// # Errors
-    /// When they cannot be read.
-    pub fn read_records(&self) -> Result<Vec<(Split, Record)>> {
-        Ok(records::read(&self.records, &self.settings, &self.declared.sensors)?.records)
-    }
-
-    /// The column as declared, recalibrated and corrected.
-    ///
-    /// # Errors
-    /// When a manifest cannot be read.
-    pub fn models(&self) -> Result<[(&'static str, ColumnSections); 3]> {
-        let [recalibrated, corrected] = &self.manifests;
-        let of = |folder: &Path| with_effects_of(&folder.join(correct::FILE), &self.declared);
-        Ok([("declared", self.declared.clone()), ("recalibrated", of(recalibrated)?), ("corrected", of(corrected)?)])
+    /// The declared column.
+    pub fn declared(&self) -> &ColumnSections {
+        &self.models[0].1
     }
 
     /// The held-out events with the record and every model.
@@ -97,7 +90,8 @@ impl Closed {
     pub fn events(&self, found: &compare::Compared) -> Result<Vec<EventView>> {
         let period_s: Vec<f64> =
             psa_periods_s().into_iter().filter(|period_s| *period_s <= LONGEST_S * 1.001).collect();
-        let depth_m = |sensor: &str| self.declared.sensors.output.iter().find(|s| s.name == sensor).map(|s| s.depth_m);
+        let depth_m =
+            |sensor: &str| self.declared().sensors.output.iter().find(|s| s.name == sensor).map(|s| s.depth_m);
         let events = histories::read(&self.compare)?;
         let view = |event: &histories::Event| {
             let sensors = event.sensors.iter().enumerate().map(|(j, sensor)| {
@@ -108,14 +102,14 @@ impl Closed {
                 let models = event.axes.iter().flat_map(|axis| {
                     axis.models.iter().map(|(model, of_sensors)| {
                         let x = &of_sensors[j];
-                        let fine = resample_band_limited(x, axis.step_s, SPECTRUM_STEP_S.min(axis.step_s));
                         let step_s = SPECTRUM_STEP_S.min(axis.step_s);
+                        let fine = resample_band_limited(x, axis.step_s, step_s);
                         ModelView {
                             model: model.clone(),
                             psa_m_s2: psa(&fine, step_s, DAMPING, &period_s),
                             pgv_m_s: peak_velocity_m_s(x, axis.step_s),
                             arias_m_s: arias_build_up_m_s(x, axis.step_s).last().copied().unwrap_or(0.0),
-                            nrmse_percent: errors.and_then(|row| of_model(&row.nrmse_percent, model)),
+                            nrmse_percent: errors.and_then(|row| row.nrmse_percent.get(model).copied().flatten()),
                             history: Series { start_s: axis.start_s, step_s: axis.step_s, values: x.clone() },
                         }
                     })
@@ -137,51 +131,53 @@ impl Closed {
         Ok(events.par_iter().map(view).collect())
     }
 
-    /// The column of `sections` and the motion that shakes it in one component of an event, m/s² at the step returned.
-    ///
-    /// # Errors
-    /// When a record cannot be read or the column not be built.
-    pub fn shaken(&self, event: &str, component: &str, sections: &ColumnSections) -> Result<Option<Shaken>> {
-        let read = self.read_records()?;
-        let records: Vec<Record> = read.into_iter().map(|(_, r)| r).filter(|r| r.event == event).collect();
-        let number = self.settings.components.iter().position(|c| c == component).unwrap_or(0);
-        let situation = Situation::of(number, event, self.settings.events().map(|(event, _)| event));
-        let instrument = Instrument::new(&sections.sensors, sections.site.depth_m, &sections.effects)?;
-        let undone = instrument.undone(&records);
-        let Some(motion) = undone.into_iter().find(|r| r.component == component) else { return Ok(None) };
-        Ok(Some(Shaken {
-            column: Column::new(&sections.profile_for(&situation)?, &sections.analysis)?,
-            dt_s: motion.dt_s,
-            base_m_s2: motion.input.acceleration_m_s2,
-            output_step_s: sections.analysis.output_step_s,
-        }))
-    }
-
     /// The column as declared and corrected under the motion of one component of an event; a model that cannot finish it is left out.
     ///
     /// # Errors
-    /// When a record cannot be read or a column not be built.
-    pub fn over_depth(&self, event: &str, component: &str) -> Result<DepthView> {
-        let mut view = DepthView { event: event.into(), component: component.into(), ..DepthView::default() };
-        for (model, sections) in self.models()?.into_iter().filter(|(model, _)| *model != "recalibrated") {
-            let Some(shaken) = self.shaken(event, component, &sections)? else { continue };
-            view.pga_g = peak(&shaken.base_m_s2) / G_M_S2;
-            let found = DepthProfile::of(&shaken.column, &shaken.base_m_s2, shaken.dt_s, shaken.output_step_s);
-            let Ok(found) = found else { continue };
-            let scaled = |values: &[f64], factor: f64| values.iter().map(|v| factor * v).collect::<Vec<f64>>();
-            let stress_strain = found.loop_gamma.iter().zip(&found.loop_tau_pa).map(|(g, t)| (100.0 * g, t / KPA));
-            view.models.push(DepthModel {
-                model: model.into(),
-                pga_g: scaled(&found.acceleration_m_s2, 1.0 / G_M_S2),
-                strain_percent: scaled(&found.gamma, 100.0),
-                stress_kpa: scaled(&found.tau_pa, 1.0 / KPA),
-                pore_ratio: found.pore_ratio.clone(),
-                loop_depth_m: found.depth_m[found.weakest],
-                stress_strain: stress_strain.collect(),
-                depth_m: found.depth_m,
-            });
+    /// When a column cannot be built.
+    pub fn shaken(&self, event: &str, component: &str) -> Result<Vec<Shaken>> {
+        let records: Vec<Record> = self.records.iter().map(|(_, r)| r).filter(|r| r.event == event).cloned().collect();
+        let number = self.settings.components.iter().position(|c| c == component).unwrap_or(0);
+        let situation = Situation::of(number, event, self.settings.events().map(|(event, _)| event));
+        let mut found = Vec::new();
+        for (model, sections) in self.models.iter().filter(|(model, _)| *model != "recalibrated") {
+            let instrument = Instrument::new(&sections.sensors, sections.site.depth_m, &sections.effects)?;
+            let undone = instrument.undone(&records);
+            let Some(motion) = undone.into_iter().find(|r| r.component == component) else { continue };
+            let column = Column::new(&sections.profile_for(&situation)?, &sections.analysis)?;
+            let base_m_s2 = &motion.input.acceleration_m_s2;
+            let output_step_s = sections.analysis.output_step_s;
+            if let Ok(profile) = DepthProfile::of(&column, base_m_s2, motion.dt_s, output_step_s) {
+                found.push(Shaken { model, pga_g: peak(base_m_s2) / G_M_S2, profile });
+            }
         }
-        Ok(view)
+        Ok(found)
+    }
+}
+
+/// What columns do over depth under the motion of one component of an event.
+pub fn over_depth(event: &str, component: &str, shaken: &[Shaken]) -> DepthView {
+    let scaled = |values: &[f64], factor: f64| values.iter().map(|v| factor * v).collect::<Vec<f64>>();
+    let of = |Shaken { model, profile, .. }: &Shaken| {
+        let weakest = &profile.histories[profile.weakest];
+        let stress_strain =
+            weakest.gamma.iter().zip(&weakest.tau_pa).map(|(g, t)| (100.0 * f64::from(*g), f64::from(*t) / KPA));
+        DepthModel {
+            model: (*model).into(),
+            pga_g: scaled(&profile.acceleration_m_s2, 1.0 / G_M_S2),
+            strain_percent: scaled(&profile.gamma, 100.0),
+            stress_kpa: scaled(&profile.tau_pa, 1.0 / KPA),
+            pore_ratio: profile.pore_ratio.clone(),
+            loop_depth_m: profile.depth_m[profile.weakest],
+            stress_strain: stress_strain.collect(),
+            depth_m: profile.depth_m.clone(),
+        }
+    };
+    DepthView {
+        event: event.into(),
+        component: component.into(),
+        pga_g: shaken.last().map_or(0.0, |s| s.pga_g),
+        models: shaken.iter().map(of).collect(),
     }
 }
 
@@ -193,17 +189,6 @@ fn with_effects_of(path: &Path, declared: &ColumnSections) -> Result<ColumnSecti
     }
     let changed: Changed = super::artifact::read_toml(path)?;
     Ok(ColumnSections { effects: changed.effects.unwrap_or_else(|| declared.effects.clone()), ..declared.clone() })
-}
-
-fn of_model(six: &crate::diagnosis::Six<Option<f64>>, model: &str) -> Option<f64> {
-    match model {
-        "declared" => six.declared,
-        "recalibrated" => six.recalibrated,
-        "corrected" => six.corrected,
-        "flare_before" => six.flare_before,
-        "flare_after" => six.flare_after,
-        _ => None,
-    }
 }
 
 /// Transfer functions of weak events.
@@ -231,7 +216,6 @@ pub fn residuals(events: &[EventView]) -> Vec<ResidualView> {
     }
     let of = |name: &&str| {
         let views: Vec<&SensorView> = events.iter().flat_map(|e| &e.sensors).filter(|s| s.sensor == **name).collect();
-        let models = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
         let by_period = |model: &&str| {
             let ratios: Vec<Vec<f64>> = views
                 .iter()
@@ -252,7 +236,7 @@ pub fn residuals(events: &[EventView]) -> Vec<ResidualView> {
         ResidualView {
             sensor: (*name).to_string(),
             period_s: views.first().map(|v| v.period_s.clone()).unwrap_or_default(),
-            models: models.iter().filter_map(by_period).collect(),
+            models: PREDICTIONS.iter().filter_map(by_period).collect(),
             n: views.len(),
         }
     };

@@ -5,12 +5,11 @@
 //! `/MODEL/SENSOR` (the record is a model) with `{"acceleration_m_s2": …}` and, for finite elements, `/MODEL/depth/DEPTH m` with strain, stress
 //! and excess pore pressure, as JSON messages at the time since the first sample.
 
-use super::closed::{Closed, Shaken, transfers};
+use super::closed::{self, Closed, Shaken, transfers};
 use super::compare;
 use crate::atomic::Partial;
 use crate::error::{Context, Error, Result};
-use crate::numerics::resample::resample_band_limited;
-use crate::report::content::EventView;
+use crate::report::content::{DepthView, EventView};
 use crate::units::KPA;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
@@ -36,11 +35,14 @@ pub fn export(closed: &Closed, folder: &Path) -> Result<Vec<PathBuf>> {
         spectra(folder, &events)?,
         transfer(folder, &found)?,
         errors(folder, &found)?,
-        depth(folder, closed, &events)?,
     ];
+    let mut over_depth = Vec::new();
     for event in &events {
-        files.push(mcap(folder, closed, event)?);
+        let shaken = closed.shaken(&event.event, &event.component)?;
+        files.push(mcap(folder, event, &shaken)?);
+        over_depth.push(closed::over_depth(&event.event, &event.component, &shaken));
     }
+    files.push(depth(folder, &over_depth)?);
     files.push(layout(folder, &events)?);
     Ok(files)
 }
@@ -130,28 +132,24 @@ fn errors(folder: &Path, found: &compare::Compared) -> Result<PathBuf> {
     let columns = ["event", "component", "sensor", "split", "model", "nrmse_percent", "nrmse_coherent_percent"];
     let text = |value: Option<f64>| value.map(|v| v.to_string()).unwrap_or_default();
     let rows = found.errors.iter().flat_map(|row| {
-        let coherent: BTreeMap<&str, Option<f64>> =
-            row.nrmse_coherent_percent.named().into_iter().map(|(n, v)| (n, *v)).collect();
         let split = format!("{:?}", row.split).to_lowercase();
-        row.nrmse_percent.named().into_iter().map(|(n, v)| (n, *v)).collect::<Vec<_>>().into_iter().map(
-            move |(model, percent)| {
-                let coherent = coherent.get(model).copied().flatten();
-                [
-                    row.event.clone(),
-                    row.component.clone(),
-                    row.sensor.clone(),
-                    split.clone(),
-                    model.to_string(),
-                    text(percent),
-                    text(coherent),
-                ]
-            },
-        )
+        row.nrmse_percent.named().into_iter().map(move |(model, percent)| {
+            let coherent = row.nrmse_coherent_percent.get(model).copied().flatten();
+            [
+                row.event.clone(),
+                row.component.clone(),
+                row.sensor.clone(),
+                split.clone(),
+                model.to_string(),
+                text(*percent),
+                text(coherent),
+            ]
+        })
     });
     table(folder, "errors.csv", columns, rows)
 }
 
-fn depth(folder: &Path, closed: &Closed, events: &[EventView]) -> Result<PathBuf> {
+fn depth(folder: &Path, events: &[DepthView]) -> Result<PathBuf> {
     let columns = [
         "event",
         "component",
@@ -164,7 +162,7 @@ fn depth(folder: &Path, closed: &Closed, events: &[EventView]) -> Result<PathBuf
     ];
     let mut rows = Vec::new();
     for event in events {
-        for model in closed.over_depth(&event.event, &event.component)?.models {
+        for model in &event.models {
             for i in 0..model.depth_m.len() {
                 let values = [
                     model.depth_m[i],
@@ -184,7 +182,7 @@ fn depth(folder: &Path, closed: &Closed, events: &[EventView]) -> Result<PathBuf
 /// One message: nanoseconds since the first sample, topic, content.
 type Message = (u64, u16, Value);
 
-fn mcap(folder: &Path, closed: &Closed, event: &EventView) -> Result<PathBuf> {
+fn mcap(folder: &Path, event: &EventView, shaken: &[Shaken]) -> Result<PathBuf> {
     let path = folder.join(format!("{}.{}.mcap", event.event, event.component));
     let what = || format!("cannot write `{}`", path.display());
     let (partial, file) = Partial::create(&path)?;
@@ -217,13 +215,21 @@ fn mcap(folder: &Path, closed: &Closed, event: &EventView) -> Result<PathBuf> {
             (nanoseconds(series.start_s + i as f64 * series.step_s), id, json!({ "acceleration_m_s2": short(*v) }))
         }));
     }
-    for element in elements(closed, event)? {
-        let id = channel(format!("/{}/depth/{:.2} m", element.model, element.depth_m), element_schema)?;
-        messages.extend(element.samples.into_iter().map(|(time_s, [gamma, tau_pa, pore_pa])| {
-            let [strain, stress, pressure] = [gamma, tau_pa / KPA, pore_pa / KPA].map(short);
-            let value = json!({ "strain": strain, "stress_kpa": stress, "excess_pore_pressure_kpa": pressure });
-            (nanoseconds(time_s), id, value)
-        }));
+    for Shaken { model, profile, .. } in shaken {
+        let (n, count) = (profile.depth_m.len(), DEPTHS.min(profile.depth_m.len()));
+        for i in (0..count).map(|i| (2 * i + 1) * n / (2 * count)) {
+            let id = channel(format!("/{model}/depth/{:.2} m", profile.depth_m[i]), element_schema)?;
+            let history = &profile.histories[i];
+            messages.extend(profile.time_s.iter().enumerate().map(|(k, time_s)| {
+                let of = |values: &[f32], unit: f64| short(f64::from(values[k]) / unit);
+                let value = json!({
+                    "strain": of(&history.gamma, 1.0),
+                    "stress_kpa": of(&history.tau_pa, KPA),
+                    "excess_pore_pressure_kpa": of(&history.excess_pore_pa, KPA),
+                });
+                (nanoseconds(*time_s), id, value)
+            }));
+        }
     }
     messages.sort_by_key(|(time_ns, id, _)| (*time_ns, *id));
     for (sequence, (time_ns, channel_id, value)) in messages.into_iter().enumerate() {
@@ -238,43 +244,6 @@ fn mcap(folder: &Path, closed: &Closed, event: &EventView) -> Result<PathBuf> {
 /// Six significant digits: a message is text.
 fn short(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
-}
-
-/// An element over a motion.
-struct ElementHistory {
-    model: &'static str,
-    depth_m: f64,
-    /// Time (s) with strain, stress (Pa) and excess pore pressure (Pa).
-    samples: Vec<(f64, [f64; 3])>,
-}
-
-/// Some elements of the declared and the corrected column; a model that cannot finish the motion is left out.
-fn elements(closed: &Closed, event: &EventView) -> Result<Vec<ElementHistory>> {
-    let mut found = Vec::new();
-    for (model, sections) in closed.models()?.into_iter().filter(|(model, _)| *model != "recalibrated") {
-        let Some(Shaken { column, dt_s, base_m_s2, output_step_s }) =
-            closed.shaken(&event.event, &event.component, &sections)?
-        else {
-            continue;
-        };
-        let depths_m = column.channel_depths_m();
-        let count = DEPTHS.min(depths_m.len());
-        let chosen: Vec<usize> = (0..count).map(|i| (2 * i + 1) * depths_m.len() / (2 * count)).collect();
-        let element = |i: &usize| ElementHistory { model, depth_m: depths_m[*i], samples: Vec::new() };
-        let mut of_model: Vec<ElementHistory> = chosen.iter().map(element).collect();
-        let step_s = dt_s.min(output_step_s);
-        let base = resample_band_limited(&base_m_s2, dt_s, step_s);
-        let run = column.run(step_s, &base, &mut |frame| {
-            for (element, i) in of_model.iter_mut().zip(&chosen) {
-                element.samples.push((frame.time_s, [frame.gamma[*i], frame.tau_pa[*i], frame.excess_pore_pa[*i]]));
-            }
-            Ok(())
-        });
-        if run.is_ok() {
-            found.extend(of_model);
-        }
-    }
-    Ok(found)
 }
 
 /// A layout for Foxglove: the accelerations of each sensor in one plot.

@@ -1,12 +1,12 @@
 //! From what a closed loop left to the report's sections on the site, its events and spectra.
 
-use super::closed::{Closed, residuals, transfers};
+use super::closed::{Closed, over_depth, residuals, transfers};
 use super::compare;
 use crate::error::Result;
 use crate::metrics::peak;
 use crate::pipeline::Task;
 use crate::records::{Record, Split};
-use crate::report::content::{Content, EventRow, LayerView, ProfileView, SensorPlace, SiteView};
+use crate::report::content::{Content, DepthView, EventRow, EventView, LayerView, ProfileView, SensorPlace, SiteView};
 use crate::units::G_M_S2;
 
 /// Depth over which velocities are averaged to class a site, m.
@@ -24,13 +24,16 @@ pub fn added(task: &Task<'_>, content: Content) -> Result<Content> {
     let found = compare::read(&closed.compare)?;
     let events = closed.events(&found)?;
     let strongest = events.iter().max_by(|a, b| peak(&a.input.values).total_cmp(&peak(&b.input.values)));
-    let depth = strongest.map(|e| closed.over_depth(&e.event, &e.component)).transpose()?;
+    let over_depth = |e: &EventView| -> Result<DepthView> {
+        Ok(over_depth(&e.event, &e.component, &closed.shaken(&e.event, &e.component)?))
+    };
+    let depth = strongest.map(over_depth).transpose()?;
     let transfers = transfers(&found);
     Ok(Content { depth, site_view: Some(site(&closed)?), residuals: residuals(&events), events, transfers, ..content })
 }
 
 fn site(closed: &Closed) -> Result<SiteView> {
-    let declared = &closed.declared;
+    let declared = closed.declared();
     let profile = declared.declared_profile()?;
     let mut depth_m = 0.0;
     let mut layers = Vec::new();
@@ -40,14 +43,14 @@ fn site(closed: &Closed) -> Result<SiteView> {
         layers.push(LayerView { top_m, bottom_m: depth_m, law: layer.law_kind.clone() });
     }
     let mut profiles = Vec::new();
-    for (model, sections) in closed.models()? {
+    for (model, sections) in &closed.models {
         let mut top_m = 0.0;
         let tops = sections.profile()?.layers.into_iter().map(|layer| {
             let top = [top_m, layer.vs_m_s];
             top_m += layer.thickness_m;
             top
         });
-        profiles.push(ProfileView { model: model.into(), tops: tops.collect() });
+        profiles.push(ProfileView { model: (*model).into(), tops: tops.collect() });
     }
     let sensors = &declared.sensors;
     let input = SensorPlace { name: sensors.input.clone(), depth_m: profile.depth_m(), is_input: true };
@@ -60,7 +63,7 @@ fn site(closed: &Closed) -> Result<SiteView> {
         profiles,
         sensors: std::iter::once(input).chain(outputs).collect(),
         water_table_m: Some(profile.water_table_m).filter(|w| *w > 0.0 && *w < depth_m),
-        events: rows(closed)?,
+        events: rows(closed),
     })
 }
 
@@ -97,7 +100,7 @@ fn facts(profile: &crate::column::Profile) -> Vec<(String, String)> {
     facts
 }
 
-fn rows(closed: &Closed) -> Result<Vec<EventRow>> {
+fn rows(closed: &Closed) -> Vec<EventRow> {
     let row = |(split, record): &(Split, Record)| EventRow {
         event: record.event.clone(),
         component: record.component.clone(),
@@ -110,5 +113,5 @@ fn rows(closed: &Closed) -> Result<Vec<EventRow>> {
         pga_g: record.sensors().map(|s| peak(&s.acceleration_m_s2) / G_M_S2).collect(),
         duration_s: record.duration_s(),
     };
-    Ok(closed.read_records()?.iter().map(row).collect())
+    closed.records.iter().map(row).collect()
 }

@@ -4,7 +4,7 @@
 
 use super::ceiling::{CeilingErrors, ceilings};
 use super::evaluate;
-use crate::diagnosis::{ErrorRow, Six};
+use crate::diagnosis::{ErrorRow, PREDICTIONS, Six};
 use crate::metrics::{
     History, Measures, SensorTransfer, TransferCurves, TransferFit, coherent_mean_nrmse_percent,
     coherent_nrmse_percent, fourier_frequencies_hz, smoothed_fourier_amplitude,
@@ -154,9 +154,8 @@ impl Channel {
             let (axis, history) = measured.predicted.get(model)?;
             Some(Measures::of(history, &measured.observed[*axis]))
         };
-        let models = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
         let mut measures: BTreeMap<String, Option<Measures>> =
-            models.into_iter().map(|model| (model.to_string(), of(model))).collect();
+            PREDICTIONS.into_iter().map(|model| (model.to_string(), of(model))).collect();
         measures.insert("ceiling".into(), ceiling.measures.clone());
         measures.insert("other_component".into(), other_component);
         ErrorRow {
@@ -211,9 +210,8 @@ fn transfer(channels: &[Channel], measured: &[Measured], band_hz: [f64; 2]) -> V
         }
         [recorded, predicted]
     };
-    let models = ["declared", "recalibrated", "corrected", "flare_before", "flare_after"];
     let of = |(component, sensor): &(&String, &String)| {
-        let by_model = models.map(|model| (model.to_string(), weak(component, sensor, Some(model))));
+        let by_model = PREDICTIONS.map(|model| (model.to_string(), weak(component, sensor, Some(model))));
         let [recorded, _] = weak(component, sensor, None);
         let predicted = by_model.iter().map(|(model, [_, predicted])| (model.clone(), predicted.clone())).collect();
         let fit = |(model, [recorded, predicted]): (String, [Vec<Vec<f64>>; 2])| {
