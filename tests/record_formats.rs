@@ -178,7 +178,10 @@ fn damaged_files_are_refused_by_line() {
         for length in [0, 1, 80, text.len() / 2, text.len() - 100] {
             std::fs::write(place.path().join(file), &text[..length]).expect("written");
             let found = records::channels(&settings(format, event, ""), place.path());
-            assert!(found.is_err() || found.is_ok_and(|c| c.into_values().flatten().count() < 5), "{file} cut to {length}");
+            assert!(
+                found.is_err() || found.is_ok_and(|c| c.into_values().flatten().count() < 5),
+                "{file} cut to {length}"
+            );
         }
     }
 }

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "ageing",
     about: "shear-wave velocity changes from event to event of the history",
+    phrases: &["Vs is {ln_velocity_per_event|lower|higher} from one event to the next"],
     build: |table| Ok(Box::new(registry::params::<Ageing>(table)?.checked()?)),
     schema: || schemars::schema_for!(Ageing),
     catalogue: Catalogue {

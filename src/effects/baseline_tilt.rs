@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "baseline_tilt",
     about: "one sensor tilts during the strong shaking and records a share of gravity from then on",
+    phrases: &["{place} tilts by {tilt_deg} in the strong shaking"],
     build: |table| Ok(Box::new(registry::params::<BaselineTilt>(table)?.checked()?)),
     schema: || schemars::schema_for!(BaselineTilt),
     catalogue: Catalogue {

@@ -11,6 +11,7 @@ use std::f64::consts::TAU;
 pub(super) const ENTRY: Entry = Entry {
     name: "clock_offset",
     about: "one sensor's clock is late or early",
+    phrases: &["the clock of {place} is {offset_s|early|late}"],
     build: |table| Ok(Box::new(registry::params::<ClockOffset>(table)?.checked()?)),
     schema: || schemars::schema_for!(ClockOffset),
     catalogue: Catalogue {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "compliant_base",
     about: "a half-space below the column carries waves away; the input is its outcrop motion",
+    phrases: &["the base carries waves away, its impedance ratio {impedance_ratio}"],
     build: |table| Ok(Box::new(registry::params::<CompliantBase>(table)?.checked()?)),
     schema: || schemars::schema_for!(CompliantBase),
     catalogue: Catalogue {

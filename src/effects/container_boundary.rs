@@ -11,6 +11,11 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "container_boundary",
     about: "a container around the column adds mass and shear stiffness",
+    phrases: &[
+        "a container adds {mass_kg_m2} of mass and {stiffness_kpa} of stiffness",
+        "a container adds {mass_kg_m2} of mass",
+        "a container adds {stiffness_kpa} of stiffness",
+    ],
     build: |table| Ok(Box::new(registry::params::<ContainerBoundary>(table)?.checked()?)),
     schema: || schemars::schema_for!(ContainerBoundary),
     catalogue: Catalogue {

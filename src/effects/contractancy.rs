@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "contractancy",
     about: "shear builds up less or more pore pressure than the declared law says",
+    phrases: &["shear of {place} contracts {ln_factor|less|more} than declared"],
     build: |table| Ok(Box::new(registry::params::<Contractancy>(table)?.checked()?)),
     schema: || schemars::schema_for!(Contractancy),
     catalogue: Catalogue {

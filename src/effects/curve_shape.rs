@@ -10,6 +10,11 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "curve_shape",
     about: "modulus and damping curves bend more or less, or enclose more or less, than declared",
+    phrases: &[
+        "the curves of {place} bend {ln_curvature|less|more} and their loops enclose {ln_hysteresis|less|more} than declared",
+        "the curves of {place} bend {ln_curvature|less|more} than declared",
+        "the loops of {place} enclose {ln_hysteresis|less|more} than declared",
+    ],
     build: |table| Ok(Box::new(registry::params::<CurveShape>(table)?.checked()?)),
     schema: || schemars::schema_for!(CurveShape),
     catalogue: Catalogue {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "directional_anisotropy",
     about: "shear-wave velocity differs between the two components",
+    phrases: &["Vs of the first component is {ln_velocity_difference|lower|higher} than of the second"],
     build: |table| Ok(Box::new(registry::params::<DirectionalAnisotropy>(table)?.checked()?)),
     schema: || schemars::schema_for!(DirectionalAnisotropy),
     catalogue: Catalogue {

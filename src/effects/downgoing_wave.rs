@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "downgoing_wave",
     about: "the down-going wave at the input sensor has lost coherence: it interferes less with the up-going one than in one dimension",
+    phrases: &["the down-going wave at the input sensor loses coherence above {corner_hz}"],
     build: |table| Ok(Box::new(registry::params::<DowngoingWave>(table)?.checked()?)),
     schema: || schemars::schema_for!(DowngoingWave),
     catalogue: Catalogue {

@@ -13,6 +13,12 @@ pub const FREQUENCY_DEPENDENT_DAMPING: &str = "frequency_dependent_damping";
 pub(super) const ENTRY: Entry = Entry {
     name: FREQUENCY_DEPENDENT_DAMPING,
     about: "damping grows or falls with frequency: Rayleigh damping beyond the declared one, or a power of the frequency",
+    phrases: &[
+        "damping falls with frequency, by {alpha_1_s} of Rayleigh's α more than declared",
+        "damping grows with frequency, by {beta_s} of Rayleigh's β more than declared",
+        "damping of {place} goes with frequency to the power of {exponent}",
+        "the frequencies at which Rayleigh damping is as declared are {ln_shift|lower|higher}",
+    ],
     build: |table| Ok(Box::new(registry::params::<FrequencyDependentDamping>(table)?.checked()?)),
     schema: || schemars::schema_for!(FrequencyDependentDamping),
     catalogue: Catalogue {

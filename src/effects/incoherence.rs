@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "incoherence",
     about: "above a frequency, part of the motion of a sensor does not follow the base: its power stays, its phases are any",
+    phrases: &["a share of {share} of the motion of {place} does not follow the base above {corner_hz}"],
     build: |table| Ok(Box::new(registry::params::<Incoherence>(table)?.checked()?)),
     schema: || schemars::schema_for!(Incoherence),
     catalogue: Catalogue {

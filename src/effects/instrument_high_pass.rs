@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "instrument_high_pass",
     about: "one sensor does not pass low frequencies",
+    phrases: &["{place} records nothing below {corner_hz}"],
     build: |table| Ok(Box::new(registry::params::<InstrumentHighPass>(table)?.checked()?)),
     schema: || schemars::schema_for!(InstrumentHighPass),
     catalogue: Catalogue {

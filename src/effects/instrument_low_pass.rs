@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "instrument_low_pass",
     about: "one sensor does not pass high frequencies",
+    phrases: &["{place} records nothing above {corner_hz}"],
     build: |table| Ok(Box::new(registry::params::<InstrumentLowPass>(table)?.checked()?)),
     schema: || schemars::schema_for!(InstrumentLowPass),
     catalogue: Catalogue {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "interface_depth",
     about: "a boundary between layers is shallower or deeper than declared",
+    phrases: &["the boundary of layers {place} is {offset_m|shallower|deeper} than declared"],
     build: |table| Ok(Box::new(registry::params::<InterfaceDepth>(table)?.checked()?)),
     schema: || schemars::schema_for!(InterfaceDepth),
     catalogue: Catalogue {

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "interface_slip",
     about: "the shear stress across one depth is capped: what lies above slips",
+    phrases: &["what lies above slips {place} from a shear stress of {tau_max_kpa}"],
     build: |table| Ok(Box::new(registry::params::<InterfaceSlip>(table)?.checked()?)),
     schema: || schemars::schema_for!(InterfaceSlip),
     catalogue: Catalogue {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "layer_velocity",
     about: "shear-wave velocity of a depth range is faster or slower than declared",
+    phrases: &["Vs of {place} is {ln_factor|lower|higher}"],
     build: |table| Ok(Box::new(registry::params::<LayerVelocity>(table)?.checked()?)),
     schema: || schemars::schema_for!(LayerVelocity),
     catalogue: Catalogue {

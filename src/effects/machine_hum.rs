@@ -13,6 +13,7 @@ use std::f64::consts::TAU;
 pub(super) const ENTRY: Entry = Entry {
     name: "machine_hum",
     about: "one sensor records a line of constant frequency, from a machine or the mains",
+    phrases: &["{place} records a line of {amplitude_m_s2} at {frequency_hz}"],
     build: |table| Ok(Box::new(registry::params::<MachineHum>(table)?.checked()?)),
     schema: || schemars::schema_for!(MachineHum),
     catalogue: Catalogue {

@@ -150,6 +150,9 @@ pub struct Entry {
     pub name: &'static str,
     /// One line for people.
     pub about: &'static str,
+    /// What is said of one that was found, for each of its forms: of these the first whose parameters it has. `{place}` is where it sits,
+    /// `{name}` the value of a parameter, `{name|lower|higher}` its size and the word for its sign.
+    pub phrases: &'static [&'static str],
     /// Builds the effect from its table; unknown keys are refused.
     pub build: fn(toml::Table) -> Result<Box<dyn Effect>>,
     /// JSON Schema of that table.

@@ -11,6 +11,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "nonlinearity",
     about: "the strain at which the soil softens is smaller or larger than declared",
+    phrases: &["the reference strain of {place} is {ln_gamma_ref|smaller|larger}"],
     build: |table| Ok(Box::new(registry::params::<Nonlinearity>(table)?.checked()?)),
     schema: || schemars::schema_for!(Nonlinearity),
     catalogue: Catalogue {

@@ -10,6 +10,9 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "pore_pressure",
     about: "shear stiffness falls within strong events as pore pressure builds up",
+    phrases: &[
+        "pore pressure softens {place} in strong events, {ru_at_reference} of the effective stress at the reference motion",
+    ],
     build: |table| Ok(Box::new(registry::params::<PorePressure>(table)?.checked()?)),
     schema: || schemars::schema_for!(PorePressure),
     catalogue: Catalogue {

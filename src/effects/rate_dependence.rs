@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "rate_dependence",
     about: "clay is stronger at the strain rates of an earthquake than in the laboratory",
+    phrases: &["strength grows by a share of {per_log_cycle} for a rate ten times as high"],
     build: |table| Ok(Box::new(registry::params::<RateDependence>(table)?.checked()?)),
     schema: || schemars::schema_for!(RateDependence),
     catalogue: Catalogue {

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "sensor_depth",
     about: "one buried sensor sits deeper or shallower than declared",
+    phrases: &["{place} sits {offset_m|shallower|deeper} than declared"],
     build: |table| Ok(Box::new(registry::params::<SensorDepth>(table)?.checked()?)),
     schema: || schemars::schema_for!(SensorDepth),
     catalogue: Catalogue {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "sensor_gain",
     about: "one sensor records too much or too little, alike at every frequency",
+    phrases: &["{place} records {ln_gain|too little|too much}"],
     build: |table| Ok(Box::new(registry::params::<SensorGain>(table)?.checked()?)),
     schema: || schemars::schema_for!(SensorGain),
     catalogue: Catalogue {

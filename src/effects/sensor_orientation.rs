@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "sensor_orientation",
     about: "one sensor is turned about the vertical",
+    phrases: &["{place} is turned by {azimuth_deg}"],
     build: |table| Ok(Box::new(registry::params::<SensorOrientation>(table)?.checked()?)),
     schema: || schemars::schema_for!(SensorOrientation),
     catalogue: Catalogue {

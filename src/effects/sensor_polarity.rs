@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "sensor_polarity",
     about: "one channel of a sensor has the wrong sign",
+    phrases: &["a channel of {place} has the wrong sign"],
     build: |table| Ok(Box::new(registry::params::<SensorPolarity>(table)?)),
     schema: || schemars::schema_for!(SensorPolarity),
     catalogue: Catalogue {

@@ -13,6 +13,7 @@ const REFERENCE_RATIO: f64 = 0.01;
 pub(super) const ENTRY: Entry = Entry {
     name: "small_strain_damping",
     about: "damping at small strains is a multiple of the declared one",
+    phrases: &["damping at small strains is {multiplier} times the declared one"],
     build: |table| Ok(Box::new(registry::params::<SmallStrainDamping>(table)?.checked()?)),
     schema: || schemars::schema_for!(SmallStrainDamping),
     catalogue: Catalogue {

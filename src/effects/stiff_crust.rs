@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "stiff_crust",
     about: "a stiff crust or fill at the surface that the profile does not show",
+    phrases: &["a crust {thickness_m} thick with a Vs of {vs_m_s} covers the profile"],
     build: |table| Ok(Box::new(registry::params::<StiffCrust>(table)?.checked()?)),
     schema: || schemars::schema_for!(StiffCrust),
     catalogue: Catalogue {

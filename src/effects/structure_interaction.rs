@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "structure_interaction",
     about: "a structure on the surface: an oscillator with its weight",
+    phrases: &["a structure of {mass_t_m2} at {frequency_hz} stands on the surface"],
     build: |table| Ok(Box::new(registry::params::<StructureInteraction>(table)?.checked()?)),
     schema: || schemars::schema_for!(StructureInteraction),
     catalogue: Catalogue {

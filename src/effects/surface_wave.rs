@@ -11,6 +11,7 @@ use std::f64::consts::TAU;
 pub(super) const ENTRY: Entry = Entry {
     name: "surface_wave",
     about: "a later arrival of the same motion that decays with depth",
+    phrases: &["a later arrival of {amplitude} times the motion of the base, {delay_s} behind it"],
     build: |table| Ok(Box::new(registry::params::<SurfaceWave>(table)?.checked()?)),
     schema: || schemars::schema_for!(SurfaceWave),
     catalogue: Catalogue {

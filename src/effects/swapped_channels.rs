@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "swapped_channels",
     about: "two sensors, or the two components of one, carry each other's label",
+    phrases: &["{place} carry each other's label"],
     build: |table| Ok(Box::new(registry::params::<SwappedChannels>(table)?.checked()?)),
     schema: || schemars::schema_for!(SwappedChannels),
     catalogue: Catalogue {

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "thin_seam",
     about: "a thin soft or stiff seam that the profile does not show",
+    phrases: &["a seam {place} has a Vs that is {ln_factor|lower|higher}"],
     build: |table| Ok(Box::new(registry::params::<ThinSeam>(table)?.checked()?)),
     schema: || schemars::schema_for!(ThinSeam),
     catalogue: Catalogue {

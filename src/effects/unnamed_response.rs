@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 pub(super) const ENTRY: Entry = Entry {
     name: "unnamed_response",
     about: "a smooth factor and phase of one output sensor by frequency, the same in all events, without a physical meaning",
+    phrases: &["{place} has a response that is the same in all events and has no physical meaning"],
     build: |table| Ok(Box::new(registry::params::<UnnamedResponse>(table)?.checked()?)),
     schema: || schemars::schema_for!(UnnamedResponse),
     catalogue: Catalogue {

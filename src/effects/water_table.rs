@@ -12,6 +12,7 @@ const WATER_KG_M3: f64 = 1000.0;
 pub(super) const ENTRY: Entry = Entry {
     name: "water_table",
     about: "the water table lies elsewhere than declared",
+    phrases: &["the water table is at {depth_m}"],
     build: |table| Ok(Box::new(registry::params::<WaterTable>(table)?.checked()?)),
     schema: || schemars::schema_for!(WaterTable),
     catalogue: Catalogue {

@@ -1,8 +1,9 @@
 //! The answer in a few lines: what a run ends with and what the report begins with.
 
 use super::closing::{listed_effects, words};
-use super::closing_content::{Closing, Interval, NamedEffect};
+use super::closing_content::{Closing, NamedEffect};
 use super::number;
+use super::phrase::phrase;
 
 /// Predictions that the second line compares, by their names in [`Closing::models`].
 const MODELS: [(&str, &str); 7] = [
@@ -14,9 +15,6 @@ const MODELS: [(&str, &str); 7] = [
     ("Noise floor", "noise floor"),
     ("Ceiling", "ceiling of a filter from other events"),
 ];
-
-/// Ends of names of parameters that say the unit, which stands behind the value for people.
-const UNITS: [&str; 6] = ["_m_s2", "_kpa", "_deg", "_hz", "_m", "_s"];
 
 /// What is named and how sure, what remains, the errors of held-out events, and what to do next: a line each.
 pub fn answer(closing: &Closing) -> Vec<String> {
@@ -46,30 +44,6 @@ fn headline(closing: &Closing) -> String {
         }
         _ => "Unknown: the records hold structure that no named effect explains; nothing was corrected.".into(),
     }
-}
-
-/// An effect with its strength: `layer velocity (0–6 m) −8 % [−12, −3]`.
-fn phrase(effect: &NamedEffect) -> String {
-    let place = if effect.target.is_empty() { String::new() } else { format!(" ({})", effect.target) };
-    let values: Vec<String> = effect.parameters.iter().map(|(name, value)| strength(name, value)).collect();
-    format!("{}{place} {}", words(&effect.kind), values.join(", ")).trim_end().to_string()
-}
-
-/// A parameter for people: ln of a factor is a change in percent.
-fn strength(name: &str, value: &Interval) -> String {
-    let is_factor = name.starts_with("ln_") && value.unit.is_empty();
-    if !is_factor {
-        let name =
-            UNITS.iter().find_map(|unit| name.strip_suffix(unit)).filter(|_| !value.unit.is_empty()).unwrap_or(name);
-        return format!("{} {}", words(name), super::closing::interval(value));
-    }
-    let percent = |ln: f64| 100.0 * (ln.exp() - 1.0);
-    let [low, high] = value.ci95.map(percent);
-    format!("{} {} % [{}, {}]", words(&name[3..]), signed(percent(value.value)), signed(low), signed(high))
-}
-
-fn signed(percent: f64) -> String {
-    format!("{percent:+.1}").replace('-', "−")
 }
 
 fn errors(closing: &Closing) -> Option<String> {
@@ -103,7 +77,7 @@ fn next(closing: &Closing) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::super::closing_content::{Model, Rest};
+    use super::super::closing_content::{Interval, Model, Rest};
     use super::*;
 
     fn closing(verdict: &str) -> Closing {
@@ -111,6 +85,7 @@ mod tests {
         let effect = |kind: &str, target: &str, name: &str, value| NamedEffect {
             kind: kind.into(),
             target: target.into(),
+            phrases: vec!["Vs of {place} is {ln_factor|lower|higher}".into()],
             parameters: vec![(name.into(), value)],
             ..NamedEffect::default()
         };
@@ -131,10 +106,8 @@ mod tests {
         let lines = answer(&closing("known"));
         assert_eq!(
             lines[0],
-            "Known: layer velocity (0.0–6.0 m) factor −8.0 % [−12.0, −3.0]; small strain damping multiplier 2.00 [1.50, 2.50]."
+            "Known: Vs of 0.0–6.0 m is 8.00 % lower [3.00, 12.0]; small strain damping multiplier 2.00 [1.50, 2.50]."
         );
-        let corner = Interval { value: 2.0, unit: "Hz".into(), ci95: [1.5, 2.5], by_prior: None };
-        assert_eq!(strength("corner_hz", &corner), "corner 2.00 [1.50, 2.50] Hz");
         assert_eq!(lines[1], "What remains is noise.");
         assert!(lines[2].contains("declared 51.2 %"), "{}", lines[2]);
         assert!(lines[3].contains("site.corrected.toml"));
@@ -145,7 +118,7 @@ mod tests {
         let key = |kind: &str| (kind.to_string(), "damping at higher frequencies".to_string());
         let ambiguity = vec![key("small_strain_damping"), key("frequency_dependent_damping")];
         let lines = answer(&Closing { ambiguity, ..closing("ambiguous") });
-        assert!(lines[0].starts_with("Known: layer velocity (0.0–6.0 m)"), "{}", lines[0]);
+        assert!(lines[0].starts_with("Known: Vs of 0.0–6.0 m"), "{}", lines[0]);
         assert!(
             lines[0].contains("Ambiguous: one of small strain damping, frequency dependent damping"),
             "{}",

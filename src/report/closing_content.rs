@@ -79,6 +79,8 @@ pub struct NamedEffect {
     pub kind: String,
     /// What it is, in a line.
     pub about: String,
+    /// What is said of it, one for each of its forms; see `Entry::phrases` of the effects.
+    pub phrases: Vec<String>,
     /// Where it sits; empty for the whole column.
     pub target: String,
     /// `soil`, `boundary` or `sensor`.

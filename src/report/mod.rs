@@ -27,6 +27,7 @@ mod models;
 mod motions;
 mod number;
 mod page;
+mod phrase;
 mod pretrain;
 mod provenance;
 mod scores;

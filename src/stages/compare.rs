@@ -109,7 +109,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        11
+        12
     }
 
     fn reads(&self) -> &'static [&'static str] {

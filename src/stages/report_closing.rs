@@ -174,6 +174,10 @@ fn about(kind: &str) -> String {
     effects::find(kind).map_or(String::new(), |entry| entry.about.into())
 }
 
+fn phrases(kind: &str) -> Vec<String> {
+    effects::find(kind).map_or_else(|_| Vec::new(), |entry| entry.phrases.iter().map(|p| (*p).into()).collect())
+}
+
 fn key(kind: &str) -> String {
     effects::find(kind).map_or(String::new(), |entry| entry.catalogue.key.into())
 }
@@ -198,6 +202,7 @@ fn named(diagnosis: &Diagnosis) -> Vec<NamedEffect> {
     let effect = |e: &crate::diagnosis::Found| NamedEffect {
         kind: e.kind.clone(),
         about: about(&e.kind),
+        phrases: phrases(&e.kind),
         target: e.target.clone(),
         class: class(e.class),
         parameters: e.parameters.iter().map(|(name, estimate)| (name.clone(), interval(estimate))).collect(),
