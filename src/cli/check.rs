@@ -7,6 +7,7 @@ use super::workspace::Workspace;
 use crate::column::{self, Column};
 use crate::effects;
 use crate::error::Result;
+use crate::twin::Truth;
 use serde_json::{Value, json};
 
 /// Elements in a wavelength that are enough.
@@ -31,6 +32,9 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
     let column = Column::new(&profile, &site.analysis)?;
     let left_alone = effects::left_alone(&site.effects, &profile);
     let rows = inventory(&workspace.manifest)?;
+    if let Some(truth) = &workspace.manifest.truth {
+        Truth::load(truth).map_err(|e| e.at("`records.truth`").usage())?;
+    }
     let remarks: Vec<String> = rows.iter().flat_map(super::records::Row::sentences).collect();
     let layer = |(l, count): (&column::Layer, usize)| {
         let element_m = l.thickness_m / count as f64;

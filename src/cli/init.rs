@@ -52,6 +52,11 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         let hint = "take another name, another `--output`, or remove the file";
         return Err(Error::new(format!("`{}` is there already", path.display())).hint(hint).usage());
     }
+    let place = |e: Error| e.at(format!("`{}`", arguments.profile.display())).usage();
+    let text = std::fs::read_to_string(&arguments.profile)
+        .context(|| format!("cannot read the profile `{}`", arguments.profile.display()))
+        .map_err(Error::usage)?;
+    profile_table(&text, None).map_err(place)?;
     let unit = arguments.unit.as_deref().map(AccelerationUnit::named).transpose().map_err(Error::usage)?;
     let mut depths = arguments.sensors.iter().map(|text| depth(text)).collect::<Result<Vec<_>>>()?;
     let named = arguments.channels.iter().map(|text| channel(text)).collect::<Result<Vec<_>>>()?;
@@ -64,10 +69,6 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         return Err(Error::new("no sensor is below the surface").hint(hint).usage());
     }
     let base_m = depths.iter().map(|s| s.1).fold(None, |deepest: Option<f64>, d| Some(deepest.map_or(d, |m| m.max(d))));
-    let place = |e: Error| e.at(format!("`{}`", arguments.profile.display())).usage();
-    let text = std::fs::read_to_string(&arguments.profile)
-        .context(|| format!("cannot read the profile `{}`", arguments.profile.display()))
-        .map_err(Error::usage)?;
     let layers = profile_table(&text, base_m).map_err(place)?;
     if layers.is_empty() {
         let hint = "a last line of no thickness, or the last of `depth_m`, is the half-space: add a layer above it";

@@ -70,7 +70,10 @@ fn find_pipeline(name: &str, from: &Path, manifest_dir: &Path, root: &Path) -> R
     let is_path = name.ends_with(".toml") || Path::new(name).components().count() > 1;
     if is_path {
         let found = [from.join(name), from.join(&file)].into_iter().find(|path| path.is_file());
-        let missing = || Error::new(format!("there is no pipeline file `{}`", from.join(name).display())).usage();
+        let missing = || {
+            let hint = "a path is taken from the folder of the manifest; `flare-pipe list pipelines` names those that are built in";
+            Error::new(format!("there is no pipeline file `{}`", from.join(name).display())).hint(hint).usage()
+        };
         return Recipe::load(&found.ok_or_else(missing)?);
     }
     // A site manifest beside this one may have the name of a pipeline.

@@ -1,6 +1,6 @@
 //! Range checks of the profile and checks across sections.
 
-use super::{Problem, Site, SiteSection};
+use super::{Problem, Site, SiteSection, schema};
 use crate::registry;
 use crate::{column, effects, soil};
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         ("records", site.records.as_ref().map(|r| r.problems()).unwrap_or_default()),
     ];
     for (section, found) in sections {
-        problems.extend(found.into_iter().map(|(key, what)| Problem::new(format!("{section}.{key}"), what)));
+        problems.extend(found.into_iter().map(|(key, what)| named_problem(format!("{section}.{key}"), &what)));
     }
     if site.pretrain.channels > site.site.elements {
         problems.push(Problem::new(
@@ -34,9 +34,18 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
     }
     tolerances(site, problems);
     for (i, table) in site.effects.iter().enumerate() {
-        if let Err(error) = effects::build(table) {
-            problems.push(from_error(format!("effects[{}]", i + 1), &error));
+        let key = format!("effects[{}]", i + 1);
+        let kind = table.get("kind").and_then(toml::Value::as_str).unwrap_or_default();
+        let own: toml::Table =
+            table.iter().filter(|(name, _)| *name != "kind").map(|(n, v)| (n.clone(), v.clone())).collect();
+        let structure =
+            effects::find(kind).map_or_else(|_| Vec::new(), |e| schema::compare_with((e.schema)(), &own, &key));
+        if structure.is_empty()
+            && let Err(error) = effects::build(table)
+        {
+            problems.push(from_error(place_in(&key, table, &error), &error));
         }
+        problems.extend(structure);
     }
     let components = site.records.as_ref().map(|r| r.components.clone()).unwrap_or_default();
     if problems.is_empty()
@@ -48,6 +57,21 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         && let Err(error) = site.column().profile().and_then(|p| column::Column::new(&p, &site.analysis).map(|_| ()))
     {
         problems.push(from_error("site".into(), &error));
+    }
+}
+
+/// A problem whose text begins with the name of its key.
+fn named_problem(key: String, what: &str) -> Problem {
+    let name = key.rsplit('.').next().unwrap_or(&key);
+    let what = if what.starts_with("must") { format!("`{name}` {what}") } else { what.into() };
+    Problem::new(key, what)
+}
+
+/// The key of `table` that an error begins with, below `key`; `key` itself where it is none.
+fn place_in(key: &str, table: &toml::Table, error: &crate::Error) -> String {
+    match error.what().split('`').nth(1).filter(|name| table.contains_key(*name)) {
+        Some(name) => format!("{key}.{name}"),
+        None => key.into(),
     }
 }
 
@@ -79,12 +103,23 @@ pub fn profile_ranges(site: &SiteSection, problems: &mut Vec<Problem>) {
         let name = key.rsplit('.').next().unwrap_or(&key);
         Problem::new(format!("site.{key}"), format!("`{name}` {what}"))
     }));
+    if !is_depth(site.depth_m) {
+        let what = format!("`depth_m` must be above 0 m, got {}", site.depth_m);
+        problems
+            .push(Problem::new("site.depth_m", what).hint("the base of the column is the depth of the input sensor"));
+        return;
+    }
     let total = profile.depth_m();
     if !site.layer.is_empty() && (total - site.depth_m).abs() > 1e-3 {
         let what = format!("the layers add up to {total:.4} m, but `site.depth_m` = {} m", site.depth_m);
         problems
             .push(Problem::new("site.depth_m", what).hint("the base of the column is the depth of the input sensor"));
     }
+}
+
+/// Whether a column may be so deep.
+fn is_depth(depth_m: f64) -> bool {
+    depth_m > 0.0 && depth_m.is_finite()
 }
 
 fn laws(site: &Site, problems: &mut Vec<Problem>) {
@@ -114,11 +149,20 @@ fn laws(site: &Site, problems: &mut Vec<Problem>) {
             Some(_) => {
                 if let Ok((kind, table)) = column.layer_law(layer)
                     && let Ok(entry) = registry::find("soil law", soil::LAWS, &kind)
-                    && let Err(error) = (entry.build)(table)
                 {
+                    let law = format!("law.{}", layer.law);
+                    let mut found = schema::compare_with((entry.schema)(), &table, &law);
+                    if found.is_empty()
+                        && let Err(error) = (entry.build)(table.clone())
+                    {
+                        found.push(from_error(place_in(&law, &table, &error), &error));
+                    }
                     // What is wrong with the law itself is said once, not for every layer that uses it.
-                    let key = if layer.parameters.is_empty() { format!("law.{}", layer.law) } else { place };
-                    problems.push(from_error(key, &error));
+                    problems.extend(found.into_iter().map(|problem| {
+                        let name = problem.key.rsplit('.').next().unwrap_or_default();
+                        let is_own = layer.parameters.contains_key(name);
+                        if is_own { Problem { key: format!("{place}.{name}"), ..problem } } else { problem }
+                    }));
                 }
             }
         }
@@ -137,7 +181,7 @@ fn sensors(site: &Site, problems: &mut Vec<Problem>) {
                 format!("two sensors are named `{}`", sensor.name),
             ));
         }
-        if !(0.0..site.site.depth_m).contains(&sensor.depth_m) {
+        if is_depth(site.site.depth_m) && !(0.0..site.site.depth_m).contains(&sensor.depth_m) {
             let what =
                 format!("`depth_m` must lie in 0…{} m, above the base, got {}", site.site.depth_m, sensor.depth_m);
             problems.push(Problem::new(format!("sensors.output[{}].depth_m", i + 1), what));

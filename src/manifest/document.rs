@@ -49,7 +49,7 @@ impl Document {
             Err(error) => {
                 let document = Self { path: path.to_path_buf(), text: text.to_string(), table: toml::Table::new() };
                 let rendered = document.render(error.message(), error.span(), None);
-                Err(Error::new(error.message().to_string()).usage().rendered(rendered))
+                Err(Error::new(error.message().to_string()).usage().rendered(without_level(&rendered)))
             }
         }
     }
@@ -62,8 +62,9 @@ impl Document {
     /// All `problems` as one usage error, in the order of the text.
     pub fn error(&self, mut problems: Vec<Problem>, overridden: &[String]) -> Error {
         let spanned = DeTable::parse(&self.text).ok();
+        let is_overridden = |p: &Problem| overridden.iter().any(|key| is_within(&p.key, key));
         let span_of = |p: &Problem| {
-            if overridden.contains(&p.key) {
+            if is_overridden(p) {
                 return None;
             }
             spanned.as_ref().and_then(|t| locate(t.get_ref(), &p.key))
@@ -80,11 +81,7 @@ impl Document {
             .map(|p| match span_of(p) {
                 Some(span) => self.render(&p.what, Some(span), p.hint.as_deref()),
                 None => {
-                    let origin = if overridden.contains(&p.key) {
-                        "`--set`".into()
-                    } else {
-                        format!("`{}`", self.path.display())
-                    };
+                    let origin = if is_overridden(p) { "`--set`".into() } else { format!("`{}`", self.path.display()) };
                     let mut error = Error::new(&p.what).at(format!("`{}` of {origin}", p.key));
                     if let Some(hint) = &p.hint {
                         error = error.hint(hint);
@@ -97,9 +94,7 @@ impl Document {
         let plural = if count == 1 { "problem" } else { "problems" };
         blocks.push(format!("{count} {plural} in `{}`", self.path.display()));
         let text = blocks.join("\n\n");
-        Error::new(format!("{count} {plural} in `{}`", self.path.display()))
-            .usage()
-            .rendered(text.strip_prefix("error: ").unwrap_or(&text))
+        Error::new(format!("{count} {plural} in `{}`", self.path.display())).usage().rendered(without_level(&text))
     }
 
     fn render(&self, what: &str, span: Option<Range<usize>>, hint: Option<&str>) -> String {
@@ -114,6 +109,28 @@ impl Document {
         }
         Renderer::plain().render(&[group]).to_string()
     }
+}
+
+/// What comes behind the word `error:`, which is said where errors are shown.
+fn without_level(rendered: &str) -> &str {
+    rendered.strip_prefix("error: ").unwrap_or(rendered)
+}
+
+/// Whether `key` is `place` or stands in it.
+fn is_within(key: &str, place: &str) -> bool {
+    key.strip_prefix(place).is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
+}
+
+/// Whether `table` says something at `key`.
+pub fn is_said(table: &toml::Table, key: &str) -> bool {
+    let mut steps = steps_of(key).into_iter();
+    let Some(Step::Key(first)) = steps.next() else { return false };
+    let value = steps.try_fold(table.get(&first), |value, step| match (step, value?) {
+        (Step::Key(key), toml::Value::Table(table)) => Some(table.get(&key)),
+        (Step::Index(i), toml::Value::Array(items)) => Some(i.checked_sub(1).and_then(|i| items.get(i))),
+        _ => None,
+    });
+    value.flatten().is_some()
 }
 
 /// Sets one dotted `key=value` in `table`; the value is TOML where it parses as such, a string where it does not.

@@ -58,6 +58,13 @@ impl Manifest {
         if let Some(site) = &site {
             check::across(site, &mut problems);
         }
+        // What is filled in follows from what is said: where that is wrong, the other is no news.
+        let is_filled_in = |p: &Problem| {
+            sections::FILLED_IN.iter().any(|s| p.key.starts_with(s)) && !document::is_said(&table, &p.key)
+        };
+        if !problems.iter().all(is_filled_in) {
+            problems.retain(|p| !is_filled_in(p));
+        }
         match site {
             Some(site) if problems.is_empty() => {
                 let base = path.parent().unwrap_or(Path::new("."));

@@ -11,9 +11,14 @@ pub fn schema() -> schemars::Schema {
 
 /// Every structural difference between `table` and the schema of [`Site`].
 pub fn compare(table: &toml::Table) -> Vec<Problem> {
-    let schema = schema().to_value();
+    compare_with(schema(), table, "")
+}
+
+/// Every structural difference between the table at `key` and the `schema` of what it builds.
+pub fn compare_with(schema: schemars::Schema, table: &toml::Table, key: &str) -> Vec<Problem> {
+    let schema = schema.to_value();
     let mut problems = Vec::new();
-    walk(&schema, &schema, &toml::Value::Table(table.clone()), String::new(), &mut problems);
+    walk(&schema, &schema, &toml::Value::Table(table.clone()), key.to_string(), &mut problems);
     problems
 }
 
@@ -93,12 +98,16 @@ fn walk_table(root: &Json, schema: &Json, table: &toml::Table, key: &str, proble
             let about = properties.and_then(|p| p.get(name)).and_then(|p| p.get("description")).and_then(Json::as_str);
             let mut problem = Problem::new(join(name), format!("{place} lacks the key `{name}`"));
             if let Some(about) = about {
-                problem = problem
-                    .hint(format!("`{name}`: {}", about.lines().next().unwrap_or_default().trim_end_matches('.')));
+                problem = problem.hint(format!("`{name}`: {}", first_paragraph(about).trim_end_matches('.')));
             }
             problems.push(problem);
         }
     }
+}
+
+/// The first paragraph of a description in one line.
+fn first_paragraph(text: &str) -> String {
+    text.lines().take_while(|line| !line.trim().is_empty()).map(str::trim).collect::<Vec<_>>().join(" ")
 }
 
 /// The range of `schema`, where `value` is a number beyond it.

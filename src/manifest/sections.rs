@@ -92,6 +92,9 @@ pub struct ColumnSections {
     pub analysis: Analysis,
 }
 
+/// Where keys stand that [`Site::completed`] fills in.
+pub(super) const FILLED_IN: [&str; 2] = ["motions.", "pretrain."];
+
 impl Site {
     /// The same site with what follows from other sections where `table`, which it was read from, does not say it.
     #[must_use]

@@ -83,6 +83,12 @@ pub fn layers(text: &str, base_m: Option<f64>) -> Result<Vec<LayerRow>> {
     }
     // A column is in percent as a whole: 0.4 beside 2.0 is 0.4 %.
     let is_percent = all.iter().any(|row| row.layer.damping_ratio.is_some_and(|ratio| ratio > LARGEST_RATIO));
+    let beyond = |row: &&Row| row.layer.damping_ratio.is_some_and(|percent| percent > 100.0 * LARGEST_RATIO);
+    if let Some(row) = all.iter().find(beyond) {
+        let what = format!("`damping_ratio` is {} on line {}", row.layer.damping_ratio.unwrap_or_default(), row.line);
+        let hint = "a ratio of up to 0.5 or up to 50 % is possible; without a header the columns are thickness, Vs, damping ratio, density";
+        return Err(Error::new(what).hint(hint));
+    }
     if is_percent {
         all.iter_mut().filter_map(|row| row.layer.damping_ratio.as_mut()).for_each(|ratio| *ratio *= 0.01);
     }
@@ -193,6 +199,7 @@ mod tests {
             ("thickness_m,vs\n4,130\n", None, "unknown column `vs`"),
             ("thickness_m,vs_m_s\n4,fast\n", None, "`vs_m_s` is `fast` on line 2"),
             ("thickness_m,density_kg_m3\n4,1900\n", None, "line 2 has no `vs_m_s`"),
+            ("4,130,1900\n6,180,1950\n", None, "`damping_ratio` is 1900 on line 1"),
             ("thickness_m,vs_m_s\n0,100\n4,130\n", None, "the layer on line 2 has no thickness"),
             ("depth_m,vs_m_s\n0,130\n5,150\n4,180\n", None, "falls from 5 to 4 m on line 4"),
             ("depth_m,vs_m_s\n4,130\n5,150\n", None, "the first layer begins at 4 m"),

@@ -301,7 +301,7 @@ impl<'a> Planner<'a> {
                 return Err(Error::new(format!(
                     "stage `{stage}` needs the output of {list}, which is not in the cache"
                 ))
-                .hint(format!("run {list} first, or everything needed with `--until {stage}`"))
+                .hint(format!("`flare-pipe run` with `--until {stage}` computes everything it needs"))
                 .usage());
             }
         }

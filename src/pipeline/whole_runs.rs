@@ -222,7 +222,7 @@ fn only_from_until_and_force_choose_stages() {
     assert_eq!(
         error.to_string(),
         "stage `all` needs the output of `fit.EW`, `fit.NS`, `ensemble`, which is not in the cache\n\n\
-         hint: run `fit.EW`, `fit.NS`, `ensemble` first, or everything needed with `--until all`"
+         hint: `flare-pipe run` with `--until all` computes everything it needs"
     );
     place.run(MANIFEST, &Options { until: Some("fit.EW".into()), ..Options::default() }).expect("runs");
     assert_eq!(place.computed(), ["fit.EW", "number"]);

@@ -39,8 +39,8 @@ impl Format for Csv {
     }
 
     fn read(&self, source: &Source, bytes: &[u8], reading: &Reading) -> Result<Vec<Channel>> {
-        let unit = reading.unit(stated_unit(bytes)?)?;
         let header = channels_in(bytes)?;
+        let unit = reading.unit(stated_unit(bytes)?)?;
         let mut names: Vec<&str> = header.iter().map(String::as_str).filter(|name| (reading.is_wanted)(name)).collect();
         names.sort_unstable();
         names.dedup();
@@ -216,8 +216,16 @@ fn find_column(header: &::csv::StringRecord, name: &str) -> Result<usize> {
 fn number(text: &str, column: &str, line: u64) -> Result<f64> {
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
-        _ => Err(Error::new(format!("`{column}` is `{text}` on line {line}, a finite number is needed"))
-            .hint("cut the record before the gap, or fill it and say so in a comment")),
+        read => {
+            // `NaN`, `inf` and nothing stand for samples that are not there; anything else is no sample at all.
+            let is_gap = read.is_ok() || text.trim().is_empty();
+            let hint = if is_gap {
+                "cut the record before the gap, or fill it and say so in a comment"
+            } else {
+                "a column holds numbers such as `-0.0123` or `1.2e-3`, with a point and without units"
+            };
+            Err(Error::new(format!("`{column}` is `{text}` on line {line}, a finite number is needed")).hint(hint))
+        }
     }
 }
 

@@ -336,12 +336,12 @@ impl<'a> Reader<'a> {
                         .map(|c| c.name.as_str())
                         .collect();
                     if let (Some(usual), false) = (place.usual.first(), in_file.is_empty()) {
-                        let what = format!("there is no channel `{}` in `{}`", usual.channel, usual.file);
                         let hint = format!(
                             "it is named as the sensor, or in `[records.channels]`; {}",
                             registry::known(&in_file, sensor)
                         );
-                        return Err(Error::new(what).hint(hint));
+                        let what = format!("there is no channel `{}`", usual.channel);
+                        return Err(Error::new(what).at(format!("`{}`", usual.file)).hint(hint));
                     }
                     return Ok(Found::Missing(self.dir.join(place.shown())));
                 }

@@ -254,6 +254,7 @@ fn closing() -> Closing {
         effects: vec![NamedEffect {
             kind: "structure_interaction".into(),
             about: "a structure on the surface loads the column".into(),
+            phrases: vec!["a structure of {mass_t_m2} at {frequency_hz} stands on the surface".into()],
             target: "surface".into(),
             class: "boundary".into(),
             parameters: vec![
