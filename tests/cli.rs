@@ -261,10 +261,29 @@ fn lists_name_what_a_manifest_can_name() {
         assert_eq!(status, 0);
         assert!(stdout.lines().any(|l| l.starts_with(name)), "{stdout}");
     }
-    let (status, stdout, _) = said(&["schema"]);
+}
+
+#[test]
+fn shells_complete_the_names_of_stages_and_effects() {
+    let (status, script, _) = said(&["completions", "bash"]);
     assert_eq!(status, 0);
-    let schema: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
-    assert!(schema["definitions-by-kind"]["law"]["sanisand"].is_object());
+    for name in ["replay-corrected", "downgoing_wave", "sanisand"] {
+        assert!(script.contains(name), "{name}");
+    }
+    // Other names are taken as well: a pipeline may have stages of its own.
+    let (status, _, told) = said(&["run", "configs/smoke.toml", "--until", "other", "--dry-run"]);
+    assert!(status == 2 && told.contains("the pipeline has no stage `other`"), "{told}");
+}
+
+/// Editors read the schemas that are beside the shipped files; `flare-pipe schema KIND > configs/schema/KIND.json` renews one.
+#[test]
+fn the_shipped_schemas_are_those_of_the_program() {
+    for kind in ["site", "truth", "matrix", "pipeline"] {
+        let (status, printed, _) = said(&["schema", kind]);
+        assert_eq!(status, 0);
+        let shipped = fs::read_to_string(format!("configs/schema/{kind}.json")).expect("a schema");
+        assert!(shipped == printed, "`flare-pipe schema {kind} > configs/schema/{kind}.json` renews it");
+    }
 }
 
 #[test]

@@ -1,5 +1,6 @@
 //! `flare-pipe list`: what a manifest can name, with parameters, units, ranges and priors.
 
+use super::names::Names;
 use super::output::{data, write_json};
 use crate::effects::{self, EFFECTS};
 use crate::error::Result;
@@ -17,6 +18,7 @@ pub struct ListArguments {
     /// What to list
     what: What,
     /// Only this one, with its parameters
+    #[arg(value_parser = Names::Listed, hide_possible_values = true)]
     name: Option<String>,
 }
 

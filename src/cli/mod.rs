@@ -7,6 +7,7 @@ mod gc;
 mod graph;
 mod init;
 mod list;
+mod names;
 mod output;
 mod power;
 mod predict;
@@ -79,8 +80,12 @@ enum Command {
     Graph(graph::GraphArguments),
     /// Print what a manifest can name
     List(list::ListArguments),
-    /// Print the JSON Schema of a site manifest
-    Schema,
+    /// Print the JSON Schema of a file that people write, for editors
+    Schema {
+        /// Which file
+        #[arg(value_enum, default_value = "site")]
+        of: schema::SchemaOf,
+    },
     /// Remove cache entries that no site refers to
     Gc(gc::GcArguments),
     /// Print shell completions
@@ -126,7 +131,7 @@ pub fn dispatch(arguments: Arguments) -> Result<()> {
         Command::Show(arguments) => show::show(&arguments, json),
         Command::Graph(arguments) => graph::graph(&arguments, json),
         Command::List(arguments) => list::list(&arguments, json),
-        Command::Schema => schema::schema(),
+        Command::Schema { of } => schema::schema(of),
         Command::Gc(arguments) => gc::gc(&arguments, json),
         Command::Completions(arguments) => completions::completions(&arguments),
     }

@@ -1,6 +1,7 @@
 //! `flare-pipe run` and `flare-pipe plan`.
 
 use super::SiteArguments;
+use super::names::Names;
 use super::output::{data, say, write_json};
 use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
 use super::signals::goes_on_when_run_again;
@@ -19,16 +20,16 @@ pub struct RunArguments {
     #[command(flatten)]
     site: SiteArguments,
     /// Run these stages and no others (repeatable)
-    #[arg(long, value_name = "STAGE")]
+    #[arg(long, value_name = "STAGE", value_parser = Names::Stages, hide_possible_values = true)]
     only: Vec<String>,
     /// Run this stage and what depends on it
-    #[arg(long, value_name = "STAGE")]
+    #[arg(long, value_name = "STAGE", value_parser = Names::Stages, hide_possible_values = true)]
     from: Option<String>,
     /// Run this stage and what it needs
-    #[arg(long, value_name = "STAGE")]
+    #[arg(long, value_name = "STAGE", value_parser = Names::Stages, hide_possible_values = true)]
     until: Option<String>,
     /// Compute a stage again although it is stored; `all` for every one (repeatable)
-    #[arg(long, value_name = "STAGE|all")]
+    #[arg(long, value_name = "STAGE|all", value_parser = Names::Stages, hide_possible_values = true)]
     force: Vec<String>,
     /// Only say what would run and why
     #[arg(long)]

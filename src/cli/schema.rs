@@ -1,21 +1,67 @@
-//! `flare-pipe schema`: the JSON Schema of a site manifest, laws and effects included.
+//! `flare-pipe schema`: JSON Schemas of the files that people write, laws and effects included, for editors.
 
 use super::output::write_json;
 use crate::effects::EFFECTS;
 use crate::error::Result;
 use crate::manifest;
+use crate::pipeline::Recipe;
 use crate::soil::LAWS;
-use serde_json::json;
+use crate::twin::{Matrix, Truth};
+use clap::ValueEnum;
+use serde_json::{Value, json};
 
-/// Prints the schema; `definitions-by-kind` holds the tables of laws and effects by their `kind`.
+/// A kind of file.
+#[derive(Debug, Clone, Copy, PartialEq, ValueEnum)]
+pub enum SchemaOf {
+    /// The manifest of a site
+    Site,
+    /// What holds at a twin
+    Truth,
+    /// Twins to be drawn
+    Matrix,
+    /// The stages of a pipeline
+    Pipeline,
+}
+
+/// Prints the schema of a kind of file.
 ///
 /// # Errors
 /// When it cannot be written as JSON.
-pub fn schema() -> Result<()> {
-    let mut schema = manifest::schema().to_value();
-    let laws: serde_json::Map<_, _> = LAWS.iter().map(|e| (e.name.to_string(), (e.schema)().to_value())).collect();
-    let effects: serde_json::Map<_, _> =
-        EFFECTS.iter().map(|e| (e.name.to_string(), (e.schema)().to_value())).collect();
-    schema["definitions-by-kind"] = json!({ "law": laws, "effect": effects });
+pub fn schema(of: SchemaOf) -> Result<()> {
+    let mut schema = match of {
+        SchemaOf::Site => manifest::schema(),
+        SchemaOf::Truth => schemars::schema_for!(Truth),
+        SchemaOf::Matrix => schemars::schema_for!(Matrix),
+        SchemaOf::Pipeline => schemars::schema_for!(Recipe),
+    }
+    .to_value();
+    if of == SchemaOf::Site {
+        let laws = LAWS.iter().map(|entry| of_kind(entry.name, (entry.schema)(), false));
+        // What a law lacks may be said of each layer that follows it.
+        schema["properties"]["law"]["additionalProperties"] = json!({ "oneOf": laws.collect::<Vec<_>>() });
+    }
+    if matches!(of, SchemaOf::Site | SchemaOf::Truth) {
+        let effects = EFFECTS.iter().map(|entry| of_kind(entry.name, (entry.schema)(), true));
+        schema["properties"]["effects"]["items"] = json!({ "oneOf": effects.collect::<Vec<_>>() });
+    }
+    if of == SchemaOf::Truth {
+        // What one truth does not say may be said by another that it is like.
+        let needed = schema["required"].take();
+        schema["anyOf"] = json!([{ "required": ["like"] }, { "required": needed }]);
+        schema.as_object_mut().map(|table| table.remove("required"));
+    }
     write_json(&schema)
+}
+
+/// The schema of a table with `kind` besides.
+fn of_kind(kind: &str, schema: schemars::Schema, is_whole: bool) -> Value {
+    let mut schema = schema.to_value();
+    schema["properties"]["kind"] = json!({ "const": kind });
+    let own = schema["required"].as_array().cloned().unwrap_or_default();
+    let required = own.into_iter().filter(|_| is_whole).chain([json!("kind")]);
+    schema["required"] = required.collect();
+    if let Some(table) = schema.as_object_mut() {
+        table.remove("$schema");
+    }
+    schema
 }

@@ -1,12 +1,13 @@
 //! A pipeline file as typed: which stages there are and who reads whose output.
 
 use crate::error::{Context, Error, Result};
+use schemars::JsonSchema;
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 
 /// A file of `pipelines/`.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Recipe {
     /// One line for people.
@@ -20,7 +21,7 @@ pub struct Recipe {
 }
 
 /// One `[[stage]]` of a pipeline file.
-#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RecipeStage {
     /// Its name in this pipeline.
