@@ -78,6 +78,7 @@ fn a_whole_run_is_cached_explained_and_predicts() {
         assert_eq!(is_cached, !follows, "{line}");
     }
     assert!(plan.contains("`calibrate.penalty`: 1.0 → 0.5"), "{plan}");
+    assert!(plan.lines().any(|l| l.starts_with("calibrate.EW") && l.contains("about ")), "{plan}");
 
     shows_the_model(dir.path());
     predicts(dir.path());

@@ -209,6 +209,9 @@ pub fn plan_line(decision: &Decision) -> String {
         _ => "left",
     };
     let reason = decision.reason();
+    let last_s = decision.last_s.filter(|_| matches!(decision.action, Action::Run | Action::Wait));
+    let about = last_s.map(|s| format!("about {}", clock(s)));
+    let reason = about.into_iter().chain(Some(reason)).filter(|text| !text.is_empty()).collect::<Vec<_>>().join("; ");
     if reason.is_empty() {
         format!("{:22} {action}", decision.stage)
     } else {

@@ -7,7 +7,7 @@ use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
 use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
 use crate::error::{Context, Error, Result};
-use crate::pipeline::{self, Mode, Options, Summary, write_if_changed};
+use crate::pipeline::{self, Action, Mode, Options, Summary, write_if_changed};
 use crate::progress::Quiet;
 use crate::stages::correct;
 use clap::{Args, ValueEnum};
@@ -165,6 +165,13 @@ pub fn plan(arguments: &RunArguments, json: bool) -> Result<()> {
     say!("pipeline: {}", workspace.pipeline);
     for decision in &summary.decisions {
         data!("{}", plan_line(decision))?;
+    }
+    let due = || summary.decisions.iter().filter(|d| matches!(d.action, Action::Run | Action::Wait));
+    let known: Vec<f64> = due().filter_map(|d| d.last_s).collect();
+    if !known.is_empty() {
+        let (n, total) = (due().count(), clock(known.iter().sum()));
+        let all = if known.len() == n { String::new() } else { format!(" ({} of {n} never ran)", n - known.len()) };
+        say!("about {total}, one after another as they ran last{all}");
     }
     Ok(())
 }

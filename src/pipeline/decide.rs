@@ -100,6 +100,8 @@ pub struct Decision {
     pub reasons: Vec<Reason>,
     /// Where its output lies or will lie, if that is known.
     pub entry: Option<Address>,
+    /// What it took when it ran last, s.
+    pub last_s: Option<f64>,
 }
 
 impl Decision {
@@ -257,7 +259,8 @@ impl<'a> Planner<'a> {
 
     fn decision(&self, index: usize, action: Action, reasons: Vec<Reason>, entry: Option<Address>) -> Decision {
         let node = &self.graph.nodes()[index];
-        Decision { stage: node.name.clone(), kind: node.stage.kind(), action, reasons, entry }
+        let last_s = self.memory.last(&node.name).and_then(|last| self.store.seconds(&last));
+        Decision { stage: node.name.clone(), kind: node.stage.kind(), action, reasons, entry, last_s }
     }
 
     /// Decisions about all nodes, in order.

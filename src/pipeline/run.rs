@@ -240,8 +240,7 @@ impl<'a> Crew<'a> {
                 self.reporter.event(&Event::Warning { stage, text: &format!("{reason}; it is computed again") });
             }
         }
-        let last_s = planner.memory.last(stage).and_then(|last| store.seconds(&last));
-        self.reporter.event(&Event::Started { stage, last_s });
+        self.reporter.event(&Event::Started { stage, last_s: decision.last_s });
         let progress = StageProgress::new(stage, self.reporter);
         let played = |links: &Vec<super::Link>| {
             let path = |node: usize| inputs[node].as_ref().map(|input| store.dir(&input.address));
