@@ -192,3 +192,42 @@ fn layers_count_from_one_everywhere() {
         assert!(status == 2 && stderr.contains("there are 2 of these, counted from 1"), "{stderr}");
     }
 }
+
+/// What the README says of a site of one's own, command by command, in a folder that holds nothing but a profile and records.
+#[test]
+fn the_five_minutes_of_the_readme_end_with_an_answer() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let here = folder.path();
+    let truth = format!("{CONFIGS}/truth/smoke-null.toml");
+    assert_eq!(said(here, &["twin", &truth, "-o", "recorded"]).0, 0);
+    fs::create_dir(here.join("records")).expect("made");
+    fs::write(here.join("profile.csv"), "thickness_m,vs_m_s,density_kg_m3\n4,130,1900\n6,180,1950\n").expect("written");
+    for file in here.join("recorded").read_dir().expect("records").map(|file| file.expect("a record").path()) {
+        let text = fs::read_to_string(&file).expect("a record");
+        let mut rows =
+            text.lines().filter(|line| !line.starts_with('#')).map(|line| line.split(',').collect::<Vec<_>>());
+        assert_eq!(rows.next().expect("a header"), ["time_s", "base", "middle", "surface"]);
+        let rows: String = rows.map(|cells| format!("{},{},{}\n", cells[0], cells[1], cells[3])).collect();
+        let path = here.join("records").join(file.file_name().expect("a name"));
+        fs::write(path, format!("# unit: m/s2\ntime_s,G10,G0\n{rows}")).expect("written");
+    }
+    let readme = fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).expect("a README");
+    let section = readme.split("\n## ").find(|text| text.starts_with("Five minutes")).expect("the section");
+    let commands: Vec<&str> = section.lines().filter_map(|line| line.strip_prefix("    flare-pipe ")).collect();
+    assert_eq!(commands.len(), 5);
+    for command in commands {
+        let words: Vec<&str> = command.split('#').next().unwrap_or_default().split_whitespace().collect();
+        let (status, _, stderr) = said(here, &words);
+        assert_eq!(status, 0, "{command}\n{stderr}");
+        if words[0] == "run" {
+            assert!(stderr.contains("Response spectra of held-out events") && stderr.contains("Next: "), "{stderr}");
+        }
+    }
+    let found = fs::read_to_string(here.join("runs/mysite/loop.json")).expect("an answer");
+    let found: serde_json::Value = serde_json::from_str(&found).expect("JSON");
+    let verdict = found["verdict"].as_str().expect("a verdict");
+    assert!(["none", "known", "ambiguous", "unknown"].contains(&verdict));
+    for file in ["runs/mysite/report.html", "out/histories.csv", "out/errors.csv"] {
+        assert!(fs::metadata(here.join(file)).expect(file).len() > 1000, "{file}");
+    }
+}
