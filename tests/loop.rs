@@ -2,6 +2,7 @@
 //! named where nothing is missing, and nobody but the records stage reads the truth.
 
 use assert_cmd::Command;
+use flare_pipe::records::{self, RecordSettings};
 use serde_json::Value;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -29,6 +30,27 @@ const EVENTS: [(&str, f64, f64); 8] = [
     ("E8", 0.05, 0.07),
 ];
 
+/// What was exported as MCAP is read as records again, to the digits that it has.
+fn reads_back(out: &Path) {
+    let settings: RecordSettings =
+        toml::from_str("format = 'mcap'\ncomponents = ['EW', 'NS']\ntrain = ['E7']\nvalidation = []\ntest = ['E8']\n")
+            .expect("settings");
+    let outputs = ["middle".to_string(), "surface".into()];
+    let read = records::load(&settings, out, "base", &outputs).expect("records").records;
+    assert_eq!(read.len(), 2 * 2);
+    let table = fs::read_to_string(out.join("histories.csv")).expect("a table");
+    for (_, record) in &read {
+        for (sensor, name) in record.sensors().zip(["input", "middle", "surface"]) {
+            let start = format!("{},{},{name},record,", record.event, record.component);
+            let value = |line: &str| line.rsplit(',').next().and_then(|v| v.parse::<f64>().ok()).expect("a value");
+            let expected: Vec<f64> = table.lines().filter(|line| line.starts_with(&start)).map(value).collect();
+            assert!(expected.len() > 1000 && expected.len() == sensor.acceleration_m_s2.len(), "{start}");
+            let pairs = expected.iter().zip(&sensor.acceleration_m_s2);
+            pairs.for_each(|(a, b)| assert!((a - b).abs() <= 1e-5 * a.abs(), "{start}: {a} {b}"));
+        }
+    }
+}
+
 impl Place {
     /// The results as other programs read them.
     fn export(&self) {
@@ -46,6 +68,7 @@ impl Place {
             command.args(["--set", f]);
         });
         command.assert().success();
+        reads_back(&out);
         let packages = ["pandas", "mcap"];
         let Some(python) = python::python("export", "import pandas, mcap", &packages) else { return };
         let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_export.py");

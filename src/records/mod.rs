@@ -13,6 +13,7 @@ pub mod csv;
 mod folder;
 pub mod kiknet;
 mod load;
+mod mcap;
 mod miniseed;
 mod noise;
 mod record;
@@ -37,7 +38,7 @@ use stationxml::Responses;
 
 /// The record formats that can be read.
 pub const FORMATS: &[Entry<dyn Format>] =
-    &[csv::ENTRY, kiknet::ENTRY, cosmos::ENTRY, csmip::ENTRY, at2::ENTRY, smc::ENTRY, miniseed::ENTRY];
+    &[csv::ENTRY, kiknet::ENTRY, cosmos::ENTRY, csmip::ENTRY, at2::ENTRY, smc::ENTRY, miniseed::ENTRY, mcap::ENTRY];
 
 /// `records.format` of a folder whose files are told by their content.
 pub const ANY: &str = "any";

@@ -1,0 +1,131 @@
+//! MCAP as `flare-pipe export` writes it: a topic `/MODEL/SENSOR` with messages `{"acceleration_m_s2": …}`, one component of one event a file.
+//!
+//! A channel is named by its topic, `record/surface`. The files are called `EVENT.COMPONENT.mcap`; of a manifest's sensors the record is taken
+//! (`record/input` is the input sensor) unless `[records.channels]` says otherwise. Other topics are left alone.
+
+use super::channel::Channel;
+use super::{Format, Reading, Role, Source, Usual};
+use crate::error::{Context, Error, Result};
+use crate::registry::{Entry, params};
+use crate::units::AccelerationUnit;
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// First bytes of a file.
+const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+/// Share of a step by which a message may be early or late.
+const JITTER: f64 = 0.01;
+
+pub(super) const ENTRY: Entry<dyn Format> = Entry {
+    name: "mcap",
+    about: "MCAP of `flare-pipe export`, one component of an event a file",
+    build: |table| Ok(Box::new(params::<Mcap>(table)?)),
+    schema: || schemars::schema_for!(Mcap),
+};
+
+/// MCAP has no parameters.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Mcap {}
+
+/// A message of an acceleration; others lack it.
+#[derive(Deserialize)]
+struct Sample {
+    acceleration_m_s2: Option<f64>,
+}
+
+impl Format for Mcap {
+    fn recognises(&self, _: &str, head: &[u8]) -> bool {
+        head.starts_with(MAGIC)
+    }
+
+    fn usual(&self, role: &Role) -> Result<Option<Usual>> {
+        let sensor = if role.is_input { "input" } else { role.sensor };
+        let file = format!("{}.{}.mcap", role.event, role.component);
+        Ok(Some(Usual { file, channel: format!("record/{sensor}") }))
+    }
+
+    fn read(&self, source: &Source, bytes: &[u8], reading: &Reading) -> Result<Vec<Channel>> {
+        reading.unit(Some(AccelerationUnit::MetrePerSecondSquared))?;
+        channels(&source.name, bytes, reading.is_wanted)
+    }
+}
+
+/// The wanted channels of a `file`.
+fn channels(file: &str, bytes: &[u8], is_wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Channel>> {
+    let unsound = || "the file is no sound MCAP".to_string();
+    let mut histories: BTreeMap<String, Vec<(u64, f64)>> = BTreeMap::new();
+    for message in ::mcap::MessageStream::new(bytes).context(unsound)? {
+        let message = message.context(unsound)?;
+        let name = message.channel.topic.trim_start_matches('/');
+        if message.channel.message_encoding != "json" || !is_wanted(name) {
+            continue;
+        }
+        let sample: Sample = serde_json::from_slice(&message.data)
+            .context(|| format!("a message of `{name}` at {} ns is no JSON", message.log_time))?;
+        if let Some(value) = sample.acceleration_m_s2.filter(|v| v.is_finite()) {
+            histories.entry(name.to_string()).or_default().push((message.log_time, value));
+        }
+    }
+    histories.into_iter().map(|(name, history)| channel(file, name, history)).collect()
+}
+
+fn channel(file: &str, name: String, mut history: Vec<(u64, f64)>) -> Result<Channel> {
+    history.sort_by_key(|(time_ns, _)| *time_ns);
+    let (Some(first), Some(last), true) = (history.first(), history.last(), history.len() > 2) else {
+        return Err(Error::new(format!("`{name}` has {} samples, 3 or more are needed", history.len())));
+    };
+    if first.0 > 0 {
+        let what = format!("`{name}` begins {} s after the motion of the base", 1e-9 * first.0 as f64);
+        return Err(Error::new(what).hint("a record begins with it: take the topics of `record` or of finite elements"));
+    }
+    let (start_ns, step_ns) = (first.0, (last.0 - first.0) as f64 / (history.len() - 1) as f64);
+    let is_off = |(i, (time_ns, _)): (usize, &(u64, f64))| {
+        ((time_ns - start_ns) as f64 - i as f64 * step_ns).abs() > JITTER * step_ns
+    };
+    if let Some(i) = history.iter().enumerate().position(is_off) {
+        let what = format!("`{name}` has no uniform step: sample {} is at {} s", i + 1, 1e-9 * history[i].0 as f64);
+        return Err(Error::new(what).hint("resample it, or cut it at the gap"));
+    }
+    let samples = history.iter().map(|(_, value)| *value).collect();
+    Ok(Channel { name, ..Channel::alone(file, 1e-9 * step_ns, samples) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ::mcap::WriteOptions;
+    use ::mcap::records::MessageHeader;
+
+    fn read(times_ns: &[u64]) -> Result<Vec<Channel>> {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        let mut writer = WriteOptions::new().compression(None).create(&mut bytes).unwrap();
+        let topics = ["/record/surface", "/declared/depth/1.00 m"];
+        let schema = writer.add_schema("Any", "jsonschema", b"{}").unwrap();
+        let ids = topics.map(|topic| writer.add_channel(schema, topic, "json", &BTreeMap::new()).unwrap());
+        for (i, time_ns) in times_ns.iter().enumerate() {
+            let contents = [format!("{{\"acceleration_m_s2\": {i}}}"), "{\"strain\": 1e-3}".into()];
+            for (channel_id, content) in ids.into_iter().zip(contents) {
+                let (log_time, publish_time) = (*time_ns, *time_ns);
+                let header = MessageHeader { channel_id, sequence: i as u32, log_time, publish_time };
+                writer.write_to_known_channel(&header, content.as_bytes()).unwrap();
+            }
+        }
+        writer.finish().unwrap();
+        drop(writer);
+        channels("E1.NS.mcap", bytes.get_ref(), &|_| true)
+    }
+
+    #[test]
+    fn accelerations_are_read_and_gaps_refused() {
+        let found = read(&[0, 5_000_000, 10_000_000]).unwrap();
+        assert_eq!(found.len(), 1, "strains are no accelerations");
+        assert_eq!((found[0].name.as_str(), found[0].dt_s), ("record/surface", 0.005));
+        assert_eq!(found[0].acceleration_m_s2, [0.0, 1.0, 2.0]);
+        let refused = |times_ns: &[u64]| read(times_ns).unwrap_err().to_string();
+        assert!(refused(&[0, 5_000_000, 20_000_000]).contains("sample 2 is at 0.005 s"));
+        assert!(refused(&[5_000_000, 10_000_000, 15_000_000]).contains("begins 0.005 s after"));
+        assert!(refused(&[0, 5_000_000]).contains("has 2 samples"));
+    }
+}
