@@ -227,7 +227,7 @@ fn the_five_minutes_of_the_readme_end_with_an_answer() {
     let found: serde_json::Value = serde_json::from_str(&found).expect("JSON");
     let verdict = found["verdict"].as_str().expect("a verdict");
     assert!(["none", "known", "ambiguous", "unknown"].contains(&verdict));
-    for file in ["runs/mysite/report.html", "out/histories.csv", "out/errors.csv"] {
+    for file in ["runs/mysite/report.html", "out/histories.csv", "out/errors.csv", "out/figures/loop-errors-1.svg"] {
         assert!(fs::metadata(here.join(file)).expect(file).len() > 1000, "{file}");
     }
 }

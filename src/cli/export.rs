@@ -19,7 +19,8 @@ pub struct ExportArguments {
     output: PathBuf,
 }
 
-/// Writes histories, spectra, transfer functions, errors and values over depth as CSV, each held-out event as MCAP, and prints the paths.
+/// Writes histories, spectra, transfer functions, errors and values over depth as CSV, each held-out event as MCAP, the figures of the report as
+/// SVG, and prints the paths.
 ///
 /// # Errors
 /// When the loop is not closed yet, or a file cannot be written.
@@ -34,7 +35,8 @@ pub fn export(arguments: &ExportArguments, json: bool) -> Result<()> {
             .usage()
     })?;
     let closed = Closed::read(folder, settings, sections.column())?;
-    let files = write(&closed, &arguments.output)?;
+    let report = folder("report").ok().map(|folder| folder.join("report.html"));
+    let files = write(&closed, report.as_deref(), &arguments.output)?;
     if json {
         return write_json(&files);
     }

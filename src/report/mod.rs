@@ -28,6 +28,7 @@ mod motions;
 mod number;
 mod page;
 mod phrase;
+mod pictures;
 mod pretrain;
 mod provenance;
 mod scores;
@@ -42,6 +43,7 @@ mod traces;
 
 pub use answer::answer;
 pub use content::Content;
+pub use pictures::pictures;
 
 use crate::Result;
 

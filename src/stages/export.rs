@@ -1,5 +1,5 @@
 //! A closed loop as tables and histories that other programs read: tidy CSV, MCAP with a channel for each sensor and depth, and a layout to
-//! look at them.
+//! look at them; and the figures of the report as SVG.
 //!
 //! Every CSV has one value a row and its unit in the name of the column. An MCAP file holds one component of one held-out event: topics
 //! `/MODEL/SENSOR` (the record is a model) with `{"acceleration_m_s2": …}` and, for finite elements, `/MODEL/depth/DEPTH m` with strain, stress
@@ -10,6 +10,7 @@ use super::compare;
 use crate::atomic::Partial;
 use crate::error::{Context, Error, Result};
 use crate::report::content::{DepthView, EventView};
+use crate::report::pictures;
 use crate::units::KPA;
 use mcap::WriteOptions;
 use mcap::records::MessageHeader;
@@ -22,11 +23,11 @@ use std::path::{Path, PathBuf};
 /// Depths whose strain, stress and pore pressure are exported.
 const DEPTHS: usize = 12;
 
-/// Writes everything into `folder`; the paths of the files.
+/// Writes everything into `folder`, the figures of a rendered `report` too; the paths of the files.
 ///
 /// # Errors
 /// When an output cannot be read or a file not be written.
-pub fn export(closed: &Closed, folder: &Path) -> Result<Vec<PathBuf>> {
+pub fn export(closed: &Closed, report: Option<&Path>, folder: &Path) -> Result<Vec<PathBuf>> {
     std::fs::create_dir_all(folder).context(|| format!("cannot make `{}`", folder.display()))?;
     let found = compare::read(&closed.compare)?;
     let events = closed.events(&found)?;
@@ -44,6 +45,9 @@ pub fn export(closed: &Closed, folder: &Path) -> Result<Vec<PathBuf>> {
     }
     files.push(depth(folder, &over_depth)?);
     files.push(layout(folder, &events)?);
+    if let Some(report) = report {
+        files.extend(figures(folder, report)?);
+    }
     Ok(files)
 }
 
@@ -244,6 +248,19 @@ fn mcap(folder: &Path, event: &EventView, shaken: &[Shaken]) -> Result<PathBuf> 
 /// Six significant digits: a message is text.
 fn short(value: f64) -> f64 {
     format!("{value:.5e}").parse().unwrap_or(value)
+}
+
+/// The figures of a rendered report.
+fn figures(folder: &Path, report: &Path) -> Result<Vec<PathBuf>> {
+    let html = std::fs::read_to_string(report).context(|| format!("cannot read `{}`", report.display()))?;
+    let folder = folder.join("figures");
+    std::fs::create_dir_all(&folder).context(|| format!("cannot make `{}`", folder.display()))?;
+    let write = |(name, svg): (String, String)| {
+        let path = folder.join(format!("{name}.svg"));
+        crate::atomic::write(&path, |out| out.write_all(svg.as_bytes()))?;
+        Ok(path)
+    };
+    pictures(&html).into_iter().map(write).collect()
 }
 
 /// A layout for Foxglove: the accelerations of each sensor in one plot.
