@@ -29,8 +29,8 @@ const LONGEST_S: f64 = 10.0;
 pub struct Closed {
     /// Folder of the comparison.
     pub compare: PathBuf,
-    /// The column as declared, recalibrated and corrected.
-    pub models: [(&'static str, ColumnSections); 3],
+    /// The column as declared, recalibrated and corrected, the last two where anything was changed.
+    pub models: Vec<(&'static str, ColumnSections)>,
     /// Records with their split.
     pub records: Vec<(Split, Record)>,
     settings: RecordSettings,
@@ -69,11 +69,13 @@ impl Closed {
         declared: ColumnSections,
     ) -> Result<Self> {
         let of = |stage: &str| with_effects_of(&folder(stage)?.join(correct::FILE), &declared);
-        let (recalibrated, corrected) = (of("recalibrate")?, of("correct")?);
+        let changed = [("recalibrated", of("recalibrate")?), ("corrected", of("correct")?)];
+        let changed = changed.into_iter().filter(|(_, sections)| sections.effects != declared.effects);
+        let models = changed.collect::<Vec<_>>();
         Ok(Self {
             compare: folder("compare")?,
             records: records::read(&folder("records")?, &settings, &declared.sensors)?.records,
-            models: [("declared", declared), ("recalibrated", recalibrated), ("corrected", corrected)],
+            models: std::iter::once(("declared", declared)).chain(models).collect(),
             settings,
         })
     }
