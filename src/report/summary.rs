@@ -57,13 +57,18 @@ pub(super) fn section(content: &Content) -> Option<Section> {
     Some(Section { id: "summary", title: "Summary".into(), entries: Vec::new(), body })
 }
 
+/// A line whose parts between backticks are typed.
+fn with_code(line: &str) -> Markup {
+    html! { @for (i, part) in line.split('`').enumerate() { @if i % 2 == 1 { code { (part) } } @else { (part) } } }
+}
+
 /// The answer, as the run ended with it.
 fn said(closing: &Closing) -> Markup {
     let lines = answer(closing);
     html! {
         @if let Some((first, others)) = lines.split_first() {
             p.verdict { (first) }
-            ul.answer { @for line in others { li { (line) } } }
+            ul.answer { @for line in others { li { (with_code(line)) } } }
         }
     }
 }
