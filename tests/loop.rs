@@ -69,11 +69,21 @@ impl Place {
         });
         command.assert().success();
         reads_back(&out);
-        let packages = ["pandas", "mcap"];
-        let Some(python) = python::python("export", "import pandas, mcap", &packages) else { return };
-        let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/read_export.py");
-        let read = std::process::Command::new(python).arg(script).arg(&out).output().expect("python");
+        let packages = ["pandas", "mcap", "xarray"];
+        let Some(python) = python::python("export", "import pandas, mcap, xarray", &packages) else { return };
+        let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let script = root.join("tests/read_export.py");
+        let read = std::process::Command::new(&python).arg(script).arg(&out).output().expect("python");
         assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
+        let mut package = std::process::Command::new(&python);
+        let program = Path::new(env!("CARGO_BIN_EXE_flare-pipe")).parent().expect("a folder");
+        let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap_or_default());
+        package.env("PATH", path).env("PYTHONPATH", root.join("python")).env("PYTHONDONTWRITEBYTECODE", "1");
+        package.current_dir(root).arg("tests/read_package.py").arg(self.path("site.toml"));
+        package.arg("--run-dir").arg(self.path("runs"));
+        FEW.iter().for_each(|f| _ = package.args(["--set", f]));
+        let opened = package.output().expect("python");
+        assert!(opened.status.success(), "{}", String::from_utf8_lossy(&opened.stderr));
         let lines = String::from_utf8_lossy(&read.stdout).lines().map(str::to_string).collect::<Vec<_>>();
         assert_eq!(lines.len(), 2 * 2, "events, components: {lines:?}");
         for line in lines {
