@@ -1,5 +1,7 @@
 //! The figures of a rendered report as pictures of their own.
 
+use std::collections::BTreeMap;
+
 /// What the page says of pictures that they need by themselves.
 const STYLE: &str =
     "svg{font-family:system-ui,sans-serif;fill:#3c424a}.hint{fill:transparent}svg image{image-rendering:pixelated}";
@@ -7,6 +9,7 @@ const STYLE: &str =
 /// Name and SVG of every figure of a report, in its order: they are named by the heading that they stand under.
 pub fn pictures(report: &str) -> Vec<(String, String)> {
     let mut found: Vec<(String, String)> = Vec::new();
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
     let mut at = 0;
     while let Some(start) = report[at..].find("<svg ").map(|i| at + i) {
         let Some(end) = report[start..].find("</svg>").map(|i| start + i + "</svg>".len()) else { break };
@@ -16,7 +19,8 @@ pub fn pictures(report: &str) -> Vec<(String, String)> {
             continue;
         };
         let heading = heading_before(&report[..start]).unwrap_or("figure");
-        let count = 1 + found.iter().filter(|(name, _)| name.starts_with(&format!("{heading}-"))).count();
+        let count = counts.entry(heading).or_insert(0);
+        *count += 1;
         let whole = format!("{head} xmlns=\"http://www.w3.org/2000/svg\"><style>{STYLE}</style>{body}");
         found.push((format!("{heading}-{count}"), whole));
     }
