@@ -3,10 +3,10 @@
 //! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node
 //! is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a
 //! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
-//! fitted with the column itself. Of each model that comes to lead, what could be taken for its effects is fitted in their place
-//! ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere ([`modes`]). The
-//! competition goes on around the best model, around it less each of its effects, around what is nearly as probable, and, where a response
-//! without a name does better than all of them, around whatever has no more effects, until that changes nothing.
+//! fitted with the column itself. Of the model that leads when nothing is left to look around, what could be taken for its
+//! effects is fitted in their place ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere ([`modes`]). The
+//! competition goes on around the best model, around it less each of its effects, and around what is nearly as probable, or, where
+//! something is lacking in all of them, around the best of each number of effects, the fewest first, until that changes nothing.
 //! What the records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of
 //! the channels, and the models under it are compared by that.
 
@@ -190,7 +190,7 @@ impl<'a> Competition<'a> {
         self.renew_spread(labels, progress)?;
         self.renew_parts(labels)?;
         self.exchange_modes(labels)?;
-        if self.explore(labels, progress)? || self.challenge(labels, progress)? {
+        if self.explore(labels, progress)? {
             return Ok(true);
         }
         let leading = self.leading(labels);
@@ -199,20 +199,27 @@ impl<'a> Competition<'a> {
         let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
         let least = self.log_posterior(leading) - WINDOW;
         // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
-        // would explain. Where it does better than all of them, the right ones may be beside any that are no more than those that lead.
-        let is_lacking = self.best_of(|fit| fit.labels() == labels).is_some_and(|best| !best.model.is_named());
-        let is_near =
-            |fit: &Fit<'a>| self.log_posterior(fit) > least || (is_lacking && fit.model.effects.len() <= effects.len());
-        let is_close = |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && is_near(fit);
-        let mut close: Vec<&Fit<'a>> = self.fits.iter().filter(is_close).filter(|fit| !self.is_idle(fit)).collect();
-        self.best_first(&mut close);
-        // What is simpler first: it may do as well. Then the best, and what is less probable, which may lead elsewhere.
-        let simpler = (0..effects.len()).filter(keeps_labels).map(without);
-        let mut open = simpler.chain(close.into_iter().map(|fit| fit.model.effects.clone()));
+        // would explain.
+        let is_own = |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && !self.is_idle(fit);
+        let mut own: Vec<&Fit<'a>> = self.fits.iter().filter(is_own).collect();
+        self.best_first(&mut own);
+        let of_size = |n: usize| own.iter().filter(|fit| fit.model.effects.len() == n).copied().collect();
+        let close: Vec<&Fit<'a>> = if self.is_lacking(labels) {
+            (0..=effects.len()).flat_map(|n| distinct(of_size(n), |fit| fit.model.effects.clone())).collect()
+        } else {
+            own.iter().filter(|fit| self.log_posterior(fit) > least).copied().collect()
+        };
+        let parts = (0..effects.len()).filter(keeps_labels).map(without);
+        let mut open: Vec<Vec<Instance>> =
+            parts.chain(close.into_iter().map(|fit| fit.model.effects.clone())).collect();
+        // What is simpler first: it may do as well, and it leads to more. Then the best, and what is less probable.
+        open.sort_by_key(Vec::len);
+        let mut open = open.into_iter();
         let is_open = |set: &Vec<Instance>| !has_set(&self.expanded, set);
-        let Some(next) = open.find(is_open) else { return Ok(false) };
-        self.expand(next, progress)?;
-        Ok(true)
+        match open.find(is_open) {
+            Some(next) => self.expand(next, progress).map(|()| true),
+            None => self.challenge(labels, progress),
+        }
     }
 
     /// Whether a model is no more probable than one of fewer of its effects: what else is in it leads nowhere.

@@ -1,6 +1,7 @@
 //! What models are compared by: what few elements leave wrong, taken out beside the best, and what is expected of residuals, read off beside
 //! the model that leaves least.
 
+use super::proposals::distinct;
 use super::{Competition, FAR, TOLD, is_same_set};
 use crate::effects::Instance;
 use crate::error::Result;
@@ -44,6 +45,17 @@ impl<'a> Competition<'a> {
         (expected, ln_determinant)
     }
 
+    /// Whether something is lacking in all models so far: the column is left with more error than is declared, or a response without a name
+    /// does better than all named effects. It may then be found beside any of the best of no more effects than those that lead: what leads
+    /// may be what stands in for it.
+    pub(super) fn is_lacking(&self, labels: &[usize]) -> bool {
+        let best = self.best_of(|fit| fit.labels() == labels);
+        best.is_some_and(|best| {
+            let level = self.fitter.spread(&best.prediction).map_or(1.0, |spread| spread.level);
+            level.ln() > CHANGED[0] || !best.model.is_named()
+        })
+    }
+
     /// Reads off what is expected of residuals under `labels`, and fits again whatever is close, if that has changed. What the column has
     /// wrong and what strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
     pub(super) fn renew_spread(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
@@ -63,6 +75,7 @@ impl<'a> Competition<'a> {
         // What few elements leave wrong is taken out where it matters now.
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
         let reference = self.fitter.predict(&best.model, &best.x)?;
+        let level = found.level;
         let fitter = self.fitter.expecting(Expected { spread: found, reference });
         let before = std::mem::replace(&mut self.fitter, fitter);
         let own = best.model.effects;
@@ -76,13 +89,22 @@ impl<'a> Competition<'a> {
             alike.map(|(_, cost)| *cost).fold(f64::INFINITY, f64::min)
         };
         let lowest = [lowest(false), lowest(true)];
+        // Where something is lacking, what is far behind may yet lead to it.
+        let mut best: Vec<usize> = Vec::new();
+        if level.ln() > CHANGED[0] {
+            let mut order: Vec<usize> =
+                (0..old.len()).filter(|i| is_own(&old[*i]) && old[*i].model.is_named()).collect();
+            order.sort_by(|a, b| costs[*a].total_cmp(&costs[*b]));
+            let of_size = |n: usize| order.iter().copied().filter(|i| old[*i].model.effects.len() == n).collect();
+            best.extend((1..=self.max_effects).flat_map(|n| distinct(of_size(n), |i| old[*i].model.effects.clone())));
+        }
         for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
             if !is_own(&fit) {
                 self.fits.push(fit);
                 continue;
             }
             let is_close = cost < lowest[usize::from(fit.model.is_named())] + FAR;
-            if i == 0 || is_close || is_same_set(&fit.model.effects, &own) {
+            if i == 0 || is_close || best.contains(&i) || is_same_set(&fit.model.effects, &own) {
                 self.fits.push(self.fitter.fit(self.fitter.weighed_anew(fit, &before), Stop::CLOSE)?);
             }
         }
