@@ -1,14 +1,14 @@
 //! Which effects the records ask for: every effect at every place, alone and in pairs, against what is declared, by evidence.
 //!
-//! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node
-//! is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a
-//! small linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
-//! fitted with the column itself. Of the model that leads when nothing is left to look around, what could be taken for its
-//! effects is fitted in their place ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere ([`modes`]). The
-//! competition goes on around the best model, around it less each of its effects, and around what is nearly as probable, or, where
-//! something is lacking in all of them, around the best of each number of effects, the fewest first, until that changes nothing.
-//! What the records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of
-//! the channels, and the models under it are compared by that.
+//! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node is a
+//! direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a small
+//! linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
+//! fitted with the column itself. Of the model that leads when nothing is left to look around, what could be taken for its effects is
+//! fitted in their place ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere
+//! ([`modes`]). The competition goes on around the best model, around it less each of its effects, and around what is nearly as probable,
+//! or, where something is lacking in all of them, around the best of each number of effects, the fewest first, until that changes
+//! nothing. What the records say of the field and of the column's error is read off beside the model that leaves least, under each
+//! labelling of the channels, and the models under it are compared by that.
 
 mod expectation;
 #[cfg(test)]
