@@ -176,7 +176,7 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     }
 
     let report = fs::read_to_string(place.path("runs/smoke/report.html")).expect("a report");
-    assert!(report.contains("Known: sensor orientation (surface)"));
+    assert!(report.contains("Known: surface is turned by "));
     let corrected = place.path("runs/smoke/site.corrected.toml");
     let mut check = Command::cargo_bin("flare-pipe").expect("the program is built");
     check.current_dir(env!("CARGO_MANIFEST_DIR")).arg("check").arg(&corrected).assert().success();
@@ -187,7 +187,7 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     // The same loop without FLARE-T compares the same replays, over whole records.
     assert_eq!(place.run(&["--pipeline", "diagnose"]), ["compare", "report"]);
     let first = place.loop_json()["answer"][0].as_str().expect("a sentence").to_string();
-    assert!(first.starts_with("Known: sensor orientation (surface)"), "{first}");
+    assert!(first.starts_with("Known: surface is turned by "), "{first}");
     let report = fs::read_to_string(place.path("runs/smoke/report.html")).expect("a report");
     assert!(report.contains(&first), "the report begins with the same words");
     let alone = place.loop_json()["summary"]["test_median_nrmse_percent"].clone();
