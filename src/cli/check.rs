@@ -32,10 +32,15 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
     let column = Column::new(&profile, &site.analysis)?;
     let left_alone = effects::left_alone(&site.effects, &profile);
     let rows = inventory(&workspace.manifest)?;
-    if let Some(truth) = &workspace.manifest.truth {
-        Truth::load(truth).map_err(|e| e.at("`records.truth`").usage())?;
+    let mut remarks: Vec<String> = rows.iter().flat_map(super::records::Row::sentences).collect();
+    match &workspace.manifest.truth {
+        Some(truth) if truth.exists() => _ = Truth::load(truth).map_err(|e| e.at("`records.truth`").usage())?,
+        Some(truth) => remarks.push(format!(
+            "`records.truth`: `{}` is not there; a run needs it unless its records are stored",
+            truth.display()
+        )),
+        None => {}
     }
-    let remarks: Vec<String> = rows.iter().flat_map(super::records::Row::sentences).collect();
     let layer = |(l, count): (&column::Layer, usize)| {
         let element_m = l.thickness_m / count as f64;
         Layer { thickness_m: l.thickness_m, element_m, highest_hz: l.vs_m_s / (ELEMENTS * element_m) }
