@@ -153,6 +153,9 @@ struct Folder {
 }
 
 fn scan(dir: &Path, named: &[[String; 3]], unit: Option<AccelerationUnit>) -> Result<Folder> {
+    if !named.is_empty() {
+        return by_channel(dir, named, unit);
+    }
     let folder = records::Folder::open(dir).map_err(Error::usage)?;
     let csv_name = |source: &Source| {
         let (event, component) = source.name.strip_suffix(".csv")?.rsplit_once('.')?;
@@ -163,9 +166,6 @@ fn scan(dir: &Path, named: &[[String; 3]], unit: Option<AccelerationUnit>) -> Re
         let component = channel.strip_suffix(['1', '2'])?;
         ["NS", "EW"].contains(&component).then(|| (event.to_string(), component.to_string()))
     };
-    if !named.is_empty() {
-        return by_channel(dir, named, unit);
-    }
     let names = |of: &dyn Fn(&Source) -> Option<(String, String)>| folder.sources().iter().filter_map(of).unzip();
     let (events, components): (BTreeSet<String>, BTreeSet<String>) = names(&csv_name);
     let (vertical, components): (BTreeSet<String>, _) = components.into_iter().partition(|c| is_vertical(c));

@@ -99,10 +99,7 @@ fn name(site: &Site, problems: &mut Vec<Problem>) {
 pub fn profile_ranges(site: &SiteSection, problems: &mut Vec<Problem>) {
     // Whether the laws exist is another question.
     let Ok(profile) = site.column(|layer| Ok((layer.law.clone(), toml::Table::new()))) else { return };
-    problems.extend(profile.problems().into_iter().map(|(key, what)| {
-        let name = key.rsplit('.').next().unwrap_or(&key);
-        Problem::new(format!("site.{key}"), format!("`{name}` {what}"))
-    }));
+    problems.extend(profile.problems().into_iter().map(|(key, what)| named_problem(format!("site.{key}"), &what)));
     if !is_depth(site.depth_m) {
         let what = format!("`depth_m` must be above 0 m, got {}", site.depth_m);
         problems
