@@ -3,13 +3,17 @@
 //! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node is a
 //! direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a small
 //! linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
-//! fitted with the column itself. Of the model that leads when nothing is left to look around, what could be taken for its effects is
-//! fitted in their place ([`rivals`]); where declared values are so far off that there may be other modes, it is fitted from elsewhere
-//! ([`modes`]). The competition goes on around the best model, around it less each of its effects, and around what is nearly as probable,
-//! or, where something is lacking in all of them, around the best of each number of effects, the fewest first, until that changes
+//! fitted in few events, by the equivalent-linear column as far as a replay bears it out, and then in all. The search of a model goes on
+//! to its end where it promises to count ([`Competition::settle_close`]): most models are far behind wherever theirs would end. What could
+//! be taken for the effects of the model that leads is fitted in their place ([`rivals`]), at once or, where something is lacking in all
+//! models, when nothing is left to look around; where declared values are so far off that there may be other modes, it is fitted from
+//! elsewhere ([`modes`]). The competition goes on around the best model, around it less each of its effects, and around what is nearly as
+//! probable, or, where something is lacking, around the best of each number of effects, the fewest first ([`agenda`]), until that changes
 //! nothing. What the records say of the field and of the column's error is read off beside the model that leaves least, under each
-//! labelling of the channels, and the models under it are compared by that.
+//! labelling of the channels, and the models under it are compared by that ([`expectation`]).
 
+mod agenda;
+mod expansion;
 mod expectation;
 #[cfg(test)]
 mod linear_gaussian;
@@ -28,11 +32,9 @@ use super::recalibration::recalibrated;
 use super::weights::{Expected, Rows};
 use crate::effects::{self, Instance};
 use crate::error::Result;
-use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 use null::Null;
 pub(super) use prior::{acting, ln_prior};
-use proposals::{Linear, Proposal, distinct};
 use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -42,8 +44,8 @@ const HEATS: usize = 4;
 const FINALS: usize = 6;
 /// Steps of the first fits.
 const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
-/// The same from what is declared, where tolerances have to find back from where they stood in for an effect.
-const FAR_HEAT: Stop = Stop { steps: 24, ..HEAT };
+/// As many of these from what is declared, where tolerances have to find back from where they stood in for an effect.
+const FAR_HEATS: usize = 3;
 /// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
 const FAR: f64 = 30.0;
 /// The same within which candidates are looked for around a model, and models fitted to the end: odds of 20 to 1.
@@ -57,8 +59,6 @@ const LABEL_ROUNDS: usize = 2;
 const SETTLINGS: usize = 3;
 /// Change of ln of the density that records tell.
 const TOLD: f64 = 0.5;
-/// Prior standard deviations that a tolerance may move for slopes to be carried along.
-const NEAR: f64 = 1.0;
 
 /// Fitted models by their effects.
 pub struct Competition<'a> {
@@ -106,6 +106,11 @@ impl<'a> Competition<'a> {
         fit.log_evidence() + fit.model.effects.iter().map(|e| self.prior_of(e)).sum::<f64>()
     }
 
+    /// The same with what its search is expected to gain yet.
+    fn promise(&self, fit: &Fit<'_>) -> f64 {
+        self.log_posterior(fit) + fit.expected_gain()
+    }
+
     /// ln of the prior of an effect.
     fn prior_of(&self, instance: &Instance) -> f64 {
         self.ln_prior.get(instance.kind).copied().unwrap_or(f64::NEG_INFINITY)
@@ -141,6 +146,11 @@ impl<'a> Competition<'a> {
     /// Sorts fits, the most probable first.
     fn best_first<F: Borrow<Fit<'a>>>(&self, fits: &mut [F]) {
         fits.sort_by(|a, b| self.log_posterior(b.borrow()).total_cmp(&self.log_posterior(a.borrow())));
+    }
+
+    /// The same by what their searches are expected to gain yet.
+    fn most_promising_first(&self, fits: &mut [Fit<'a>]) {
+        fits.sort_by(|a, b| self.promise(b).total_cmp(&self.promise(a)));
     }
 
     fn best_named(&self) -> &Fit<'a> {
@@ -184,53 +194,6 @@ impl<'a> Competition<'a> {
         self.settle(progress)
     }
 
-    /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
-    fn round(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
-        self.renew_anchor(labels, Stop::CLOSE)?;
-        self.renew_spread(labels, progress)?;
-        self.renew_parts(labels)?;
-        self.exchange_modes(labels)?;
-        if self.explore(labels, progress)? {
-            return Ok(true);
-        }
-        let leading = self.leading(labels);
-        let effects = &leading.model.effects;
-        let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();
-        let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
-        let least = self.log_posterior(leading) - WINDOW;
-        // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
-        // would explain.
-        let is_own = |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && !self.is_idle(fit);
-        let mut own: Vec<&Fit<'a>> = self.fits.iter().filter(is_own).collect();
-        self.best_first(&mut own);
-        let of_size = |n: usize| own.iter().filter(|fit| fit.model.effects.len() == n).copied().collect();
-        let close: Vec<&Fit<'a>> = if self.is_lacking(labels) {
-            (0..=effects.len()).flat_map(|n| distinct(of_size(n), |fit| fit.model.effects.clone())).collect()
-        } else {
-            own.iter().filter(|fit| self.log_posterior(fit) > least).copied().collect()
-        };
-        let parts = (0..effects.len()).filter(keeps_labels).map(without);
-        let mut open: Vec<Vec<Instance>> =
-            parts.chain(close.into_iter().map(|fit| fit.model.effects.clone())).collect();
-        // What is simpler first: it may do as well, and it leads to more. Then the best, and what is less probable.
-        open.sort_by_key(Vec::len);
-        let mut open = open.into_iter();
-        let is_open = |set: &Vec<Instance>| !has_set(&self.expanded, set);
-        match open.find(is_open) {
-            Some(next) => self.expand(next, progress).map(|()| true),
-            None => self.challenge(labels, progress),
-        }
-    }
-
-    /// Whether a model is no more probable than one of fewer of its effects: what else is in it leads nowhere.
-    ///
-    /// Source: Madigan and Raftery (1994), the second principle of Occam's window.
-    fn is_idle(&self, fit: &Fit<'a>) -> bool {
-        let has = |other: &Fit<'a>| other.model.effects.iter().all(|e| fit.model.index_of(e).is_some());
-        let is_simpler = |other: &&Fit<'a>| other.model.effects.len() < fit.model.effects.len() && has(other);
-        self.fits.iter().filter(is_simpler).any(|other| self.log_posterior(other) >= self.log_posterior(fit))
-    }
-
     /// Recalibrates the declared model under every exchange of labels that does better than none where nothing is recalibrated: what was
     /// recalibrated under wrong labels is far from what holds under the right ones.
     fn exchange_labels(&mut self, progress: &dyn Progress) -> Result<()> {
@@ -261,7 +224,7 @@ impl<'a> Competition<'a> {
             let labels = self.best().labels().to_vec();
             self.renew_anchor(&labels, Stop::EXACT)?;
             self.renew_parts(&labels)?;
-            self.exchange_modes(&labels)?;
+            self.exchange_modes(&labels, progress)?;
             self.challenge(&labels, progress)?;
             self.explored.clear();
             self.explore(&labels, progress)?;
@@ -269,7 +232,7 @@ impl<'a> Competition<'a> {
             let highest = self.log_posterior(self.best());
             for i in 0..self.fits.len() {
                 let fit = &self.fits[i];
-                if self.log_posterior(fit) > highest - WINDOW {
+                if i == 0 || self.promise(fit) > highest - WINDOW {
                     self.fits[i] = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
                     progress.note(&self.described(&self.fits[i]));
                 }
@@ -291,101 +254,39 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
-    /// Fits the most promising candidates beside the fitted model with `effects`.
-    fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
-        let base = match self.known(&effects) {
-            Some(index) => self.fits[index].clone(),
+    /// The fit of a model of `effects`, its search at its end.
+    fn settled(&mut self, effects: &[Instance]) -> Result<Fit<'a>> {
+        let index = match self.known(effects) {
+            Some(index) if self.fits[index].is_settled => return Ok(self.fits[index].clone()),
+            Some(index) => {
+                self.fits[index] = self.fitter.fit(Start::from(self.fits[index].clone()), Stop::CLOSE)?;
+                index
+            }
             None => {
-                let fit = self.fitter.fit(self.part(&effects), Stop::CLOSE)?;
-                self.keep(fit.clone());
-                fit
+                self.fits.push(self.fitter.fit(self.part(effects), Stop::CLOSE)?);
+                self.fits.len() - 1
             }
         };
-        let by = self.few.fitter(&self.fitter);
-        let start = self.few.of(&by, &base)?;
-        let is_open = start.model.effects.len() < self.max_effects;
-        let directions = self.directions(&by, &start);
-        let linear = Linear::new(&by, &start, &directions).filter(|_| !directions.is_empty());
-        if let Some(null) = linear.as_ref().and_then(|linear| Null::of(linear, &self.ln_priors(linear))) {
-            self.nulls.retain(|(set, _)| !is_same_set(set, &effects));
-            self.nulls.push((effects.clone(), null));
-        }
-        self.expanded.push(effects);
-        let mut heats = self.heats(&by, &start, linear.as_ref());
-        heats.extend(self.unnamed(&by, &start));
-        if is_open && base.is_strained() {
-            heats.extend(self.strong(&by, &start));
-        }
-        self.best_first(&mut heats);
-        let mut finals: Vec<Fit<'a>> = Vec::new();
-        let is_new = |finals: &[Fit<'a>], heat: &Fit<'a>| {
-            !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
-        };
-        // What is far behind in a few events is not worth all of them; a response without a name is compared with nothing here.
-        let highest = heats.iter().filter(|heat| heat.model.is_named()).map(|heat| self.log_posterior(heat));
-        let worth = highest.fold(f64::NEG_INFINITY, f64::max) - FAR;
-        for heat in heats.iter().filter(|heat| self.log_posterior(heat) > worth) {
-            if finals.len() < FINALS && is_new(&finals, heat) {
-                finals.push(heat.clone());
+        Ok(self.fits[index].clone())
+    }
+
+    /// Goes on with the searches of models under `labels` until none that has not come to its end promises more than the most probable
+    /// that has, but for what counts: most models are far behind, wherever their searches end.
+    fn settle_close(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
+        for is_named in [true, false] {
+            loop {
+                let own = |fit: &Fit<'a>| fit.labels() == labels && fit.model.is_named() == is_named;
+                let highest = self.best_of(|fit| own(fit) && fit.is_settled).map(|fit| self.log_posterior(fit));
+                let open = (0..self.fits.len()).filter(|i| own(&self.fits[*i]) && !self.fits[*i].is_settled);
+                let open = open.map(|i| (self.promise(&self.fits[i]), i)).max_by(|a, b| a.0.total_cmp(&b.0));
+                let Some((_, next)) = open.filter(|(promise, _)| highest.is_none_or(|h| *promise > h - WINDOW)) else {
+                    break;
+                };
+                self.fits[next] = self.fitter.fit(Start::from(self.fits[next].clone()), Stop::CLOSE)?;
+                progress.note(&self.described(&self.fits[next]));
             }
-        }
-        // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
-        let alike = heats.into_iter().filter(|h| h.labels() == base.labels());
-        let least = alike.map(|h| (Self::supported(by.forward, &h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
-        if let Some((_, heat)) = least
-            && is_new(&finals, &heat)
-        {
-            finals.push(heat);
-        }
-        for heat in finals {
-            let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
-            // Slopes where the heat began lead on from where it ended, unless that is far.
-            let is_near = Self::is_near(&base, &heat);
-            let slopes = Self::slopes_of(&base, &model);
-            let start = Start::at(model, heat.x);
-            self.finish(if is_near { start.carrying(slopes, &base) } else { start }, progress);
         }
         Ok(())
-    }
-
-    /// First fits of the most promising candidates beside `base` by the linear problem there.
-    fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, linear: Option<&Linear<'_, 'a>>) -> Vec<Fit<'a>> {
-        let mut proposals = self.proposals(by, base, linear);
-        proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
-        // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
-        // comes on top of a pair is sought when one of the two is in the model.
-        let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
-        let of = |p: &Proposal| -> Vec<Instance> { p.parts.iter().map(|part| part.instance.clone()).collect() };
-        let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs, of) };
-        let all: Vec<Proposal> = distinct(singles, of).into_iter().chain(pairs).collect();
-        let fitted = |i: usize| by.fit(Self::started(by, base, all[i].clone()), HEAT).ok();
-        on_threads(all.len(), fitted).into_iter().flatten().collect()
-    }
-
-    /// The best first fit of what has no name beside `base`: a response of one sensor, or of each.
-    fn unnamed(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Option<Fit<'a>> {
-        if !base.model.is_named() {
-            return None;
-        }
-        let all = effects::unnamed(&by.forward.problem.array);
-        let alone = all.iter().map(|response| vec![response.clone()]);
-        let together = Some(all.clone()).filter(|all| all.len() > 1);
-        let all: Vec<Vec<Instance>> = alone.chain(together).collect();
-        let fitted = |i: usize| {
-            let effects = [&base.model.effects[..], &all[i]].concat();
-            let model = Model { declared: base.model.declared, effects };
-            let mut x = base.x.clone();
-            x.resize(model.len(), 0.0);
-            by.fit(Start::at(model, x).carrying(base.slopes.iter().cloned().map(Some), base), HEAT).ok()
-        };
-        let fits = on_threads(all.len(), fitted).into_iter().flatten();
-        fits.max_by(|a, b| self.log_posterior(a).total_cmp(&self.log_posterior(b)))
-    }
-
-    /// Whether the tolerances of `heat` are where slopes at `base` are of use.
-    fn is_near(base: &Fit<'_>, heat: &Fit<'_>) -> bool {
-        let declared = base.model.declared.len();
-        base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
     }
 
     /// Fits from `start` and keeps that; what was found, if anything.

@@ -44,6 +44,8 @@ pub struct Fit<'a> {
     pub axes: Option<Axes>,
     /// Whether they were replayed, here or where they were carried from.
     pub was_replayed: bool,
+    /// Whether its search came to its end; otherwise there may be more to gain than models can be compared by.
+    pub is_settled: bool,
 }
 
 /// What fits models.
@@ -72,12 +74,14 @@ pub struct Start<'a> {
     pub axes: Option<Axes>,
     /// Whether known slopes were replayed.
     pub was_replayed: bool,
+    /// Whether that is where a search came to its end.
+    pub is_settled: bool,
 }
 
 impl<'a> Start<'a> {
     /// From `x`.
     pub fn at(model: Model<'a>, x: Vec<f64>) -> Self {
-        Self { model, x, slopes: Vec::new(), axes: None, was_replayed: false }
+        Self { model, x, slopes: Vec::new(), axes: None, was_replayed: false, is_settled: false }
     }
 
     /// The same with `slopes` carried from `found`.
@@ -92,8 +96,8 @@ impl<'a> Start<'a> {
 
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
-        let Fit { model, x, slopes, axes, was_replayed, .. } = found;
-        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes, was_replayed }
+        let Fit { model, x, slopes, axes, was_replayed, is_settled, .. } = found;
+        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes, was_replayed, is_settled }
     }
 }
 
@@ -139,10 +143,11 @@ impl<'a> Fitter<'a> {
     pub fn weighed_anew(&self, found: Fit<'a>, other: &Self) -> Start<'a> {
         let [own, other] = [self, other].map(|by| by.weights(&found.prediction));
         let converted = |slope: &Arc<Rows>| own.converted(slope, &other, &found.prediction).map(Arc::new);
-        match found.slopes.iter().map(converted).collect::<Option<Vec<_>>>() {
+        let start = match found.slopes.iter().map(converted).collect::<Option<Vec<_>>>() {
             Some(slopes) => Start::from(Fit { slopes, ..found }),
             None => Start { slopes: Vec::new(), was_replayed: false, ..Start::from(found) },
-        }
+        };
+        Start { is_settled: false, ..start }
     }
 
     /// What a model predicts.
@@ -246,27 +251,43 @@ impl<'a> Fitter<'a> {
         Some(Self { surrogate: Some(Arc::new(self.near(model, x)?)), ..self.below(self.high_hz) })
     }
 
+    /// What motions are near by, where they are from there instead of replays.
+    pub fn neighbourhood(&self) -> Option<&Neighbourhood<'a, 'a>> {
+        self.surrogate.as_deref()
+    }
+
     /// Where a fit to the equivalent-linear column beside `start` ends, if a replay there gains what that foretold.
     fn leap(&self, start: &Start<'a>) -> Option<Start<'a>> {
         let Start { model, x, .. } = start;
         let by = self.by_surrogate(model, x)?;
         let at = by.point(model, x.clone()).ok()?;
+        let cost = by.cost(model, &at);
+        let found = self.foretold(&by, cost, Start::at(model.clone(), x.clone()))?;
+        Some(Start::at(found.model, found.x))
+    }
+
+    /// Where a fit from `start` by the equivalent-linear column `near` some point of this `cost` ends, and its slopes there, if a replay
+    /// there gains what that foretold.
+    pub fn foretold(&self, near: &Self, cost: f64, start: Start<'a>) -> Option<Start<'a>> {
+        let at = near.point(&start.model, start.x.clone()).ok()?;
+        if !near.tells(&start.model, &at) {
+            return None;
+        }
+        let found = near.fit(start, Stop::ON_THE_WAY).ok()?;
+        let foretold = cost - found.cost;
+        let gained = cost - self.cost_at(&found.model, found.x.clone()).ok()?;
+        let is_expected = is_borne_out(gained, foretold) || (gained - foretold).abs() < Stop::ON_THE_WAY.gain;
+        is_expected.then(|| Start { axes: None, ..Start::from(found) })
+    }
+
+    /// Whether every effect of `model` changes something at `at`.
+    fn tells(&self, model: &Model<'a>, at: &Point) -> bool {
         let strengths = |e: usize| {
             let free = model.effects[e].free.iter().enumerate().filter(|(_, free)| free.zero.is_some());
             free.map(move |(k, _)| model.start(e) + k)
         };
-        let is_told = |i: usize| !model.is_replayed(i) || by.slope(model, &at, i).is_some_and(|s| square(&s) > 0.0);
-        if !(0..model.effects.len()).flat_map(strengths).all(is_told) {
-            return None;
-        }
-        let found = by.fit(Start::at(model.clone(), x.clone()), Stop::ON_THE_WAY).ok()?;
-        let cost = by.cost(model, &at);
-        let foretold = cost - found.cost;
-        if foretold < Stop::ON_THE_WAY.gain {
-            return Some(Start::at(model.clone(), x.clone()));
-        }
-        let gained = cost - self.cost_at(model, found.x.clone()).ok()?;
-        is_borne_out(gained, foretold).then(|| Start::at(model.clone(), found.x))
+        let is_told = |i: usize| !model.is_replayed(i) || self.slope(model, at, i).is_some_and(|s| square(&s) > 0.0);
+        (0..model.effects.len()).flat_map(strengths).all(is_told)
     }
 
     fn below(&self, high_hz: f64) -> Self {
@@ -316,6 +337,11 @@ impl Fit<'_> {
     /// Posterior covariance of the coordinates by the curvature of the cost.
     pub fn covariance(&self) -> Option<Mat<f64>> {
         inverse(&information(&self.model, &self.g))
+    }
+
+    /// What one step is expected to gain in ln of the posterior density, nothing where the search came to its end.
+    pub fn expected_gain(&self) -> f64 {
+        if self.is_settled { 0.0 } else { step(&self.model, &self.x, &self.g, f64::INFINITY).1.max(0.0) }
     }
 
     /// ln of the evidence.

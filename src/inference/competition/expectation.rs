@@ -1,7 +1,7 @@
 //! What models are compared by: what few elements leave wrong, taken out beside the best, and what is expected of residuals, read off beside
 //! the model that leaves least.
 
-use super::proposals::distinct;
+use super::agenda::best_of_each_number;
 use super::{Competition, FAR, TOLD, is_same_set};
 use crate::effects::Instance;
 use crate::error::Result;
@@ -52,14 +52,14 @@ impl<'a> Competition<'a> {
         let best = self.best_of(|fit| fit.labels() == labels);
         best.is_some_and(|best| {
             let level = self.fitter.spread(&best.prediction).map_or(1.0, |spread| spread.level);
-            level.ln() > CHANGED[0] || !best.model.is_named()
+            is_beyond_declared(level) || !best.model.is_named()
         })
     }
 
     /// Reads off what is expected of residuals under `labels`, and fits again whatever is close, if that has changed. What the column has
     /// wrong and what strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
     pub(super) fn renew_spread(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
-        let own = self.fits.iter().filter(|f| f.labels() == labels);
+        let own = self.fits.iter().filter(|f| f.labels() == labels && f.is_settled);
         let supported = own.map(|f| (f, Self::supported(self.fitter.forward, f)));
         let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));
         let Some((best, (Expected { spread: found, .. }, _))) = least.map(|(f, s)| (f.clone(), s)) else {
@@ -71,7 +71,8 @@ impl<'a> Competition<'a> {
             return Ok(());
         }
         let is_other = is_beyond(OTHER);
-        progress.note(&format!("level {:.2}, coherence {:.2?}", found.level, found.coherence));
+        let beside = best.model.effects.iter().map(|e| e.kind).collect::<Vec<_>>().join(" + ");
+        progress.note(&format!("level {:.2}, coherence {:.2?} beside {beside}", found.level, found.coherence));
         // What few elements leave wrong is taken out where it matters now.
         self.fitter.forward.anchor(&best.model.tables(&best.x))?;
         let reference = self.fitter.predict(&best.model, &best.x)?;
@@ -91,12 +92,11 @@ impl<'a> Competition<'a> {
         let lowest = [lowest(false), lowest(true)];
         // Where something is lacking, what is far behind may yet lead to it.
         let mut best: Vec<usize> = Vec::new();
-        if level.ln() > CHANGED[0] {
+        if is_beyond_declared(level) {
             let mut order: Vec<usize> =
                 (0..old.len()).filter(|i| is_own(&old[*i]) && old[*i].model.is_named()).collect();
             order.sort_by(|a, b| costs[*a].total_cmp(&costs[*b]));
-            let of_size = |n: usize| order.iter().copied().filter(|i| old[*i].model.effects.len() == n).collect();
-            best.extend((1..=self.max_effects).flat_map(|n| distinct(of_size(n), |i| old[*i].model.effects.clone())));
+            best.extend(best_of_each_number(order, |i| old[*i].model.effects.clone()));
         }
         for (i, (fit, cost)) in old.into_iter().zip(costs).enumerate() {
             if !is_own(&fit) {
@@ -104,8 +104,11 @@ impl<'a> Competition<'a> {
                 continue;
             }
             let is_close = cost < lowest[usize::from(fit.model.is_named())] + FAR;
-            if i == 0 || is_close || best.contains(&i) || is_same_set(&fit.model.effects, &own) {
-                self.fits.push(self.fitter.fit(self.fitter.weighed_anew(fit, &before), Stop::CLOSE)?);
+            // What the records are read beside next is as far on as what they were read beside now.
+            let is_read = is_same_set(&fit.model.effects, &own);
+            if i == 0 || is_close || best.contains(&i) || is_read {
+                let stop = if is_read { Stop::CLOSE } else { Stop::WHERE_IT_IS };
+                self.fits.push(self.fitter.fit(self.fitter.weighed_anew(fit, &before), stop)?);
             }
         }
         // What was found beside other models may be found anew; what leads away from it does so by any weights.
@@ -117,6 +120,11 @@ impl<'a> Competition<'a> {
             self.challenged.clear();
             self.explored.clear();
         }
-        Ok(())
+        self.settle_close(labels, progress)
     }
+}
+
+/// Whether the column is left with more error than is declared of it; `level` is the ratio of the two.
+fn is_beyond_declared(level: f64) -> bool {
+    level.ln() > CHANGED[0]
 }

@@ -47,10 +47,10 @@ impl<'a> Competition<'a> {
         let fitted = |i: usize| ground.fitted_from(starts[i].clone());
         let mut found: Vec<Fit<'a>> = on_threads(starts.len(), fitted).into_iter().flatten().collect();
         self.best_first(&mut found);
-        let mut found = Self::replayed(&by, &found.iter().take(REPLAYED).map(Start::beside).collect::<Vec<_>>());
-        self.best_first(&mut found);
+        let mut found = self.replayed(&by, &found.iter().take(REPLAYED).map(Start::beside).collect::<Vec<_>>());
+        self.most_promising_first(&mut found);
         let least = self.log_posterior(&own) - FAR;
-        found.retain(|fit| self.log_posterior(fit) > least);
+        found.retain(|fit| self.promise(fit) > least);
         let mut modes = vec![leading.clone()];
         for fit in found.into_iter().take(FITTED) {
             modes.extend(self.finish(Start::at(leading.model.clone(), fit.x), progress));
@@ -62,8 +62,8 @@ impl<'a> Competition<'a> {
         Ok(is_better)
     }
 
-    /// Fits anew whatever does better where another close model has what is declared: what ended at another mode is no match for it.
-    pub(super) fn exchange_modes(&mut self, labels: &[usize]) -> Result<()> {
+    /// Goes on with whatever does better where another close model has what is declared: what ended at another mode is no match for it.
+    pub(super) fn exchange_modes(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
         if !self.has_modes() {
             return Ok(());
         }
@@ -74,19 +74,21 @@ impl<'a> Competition<'a> {
         for fit in close.iter().filter(|fit| !is_same_set(&fit.model.effects, &leading.model.effects)) {
             for [to, from] in [[fit, &leading], [&leading, fit]] {
                 let x = coordinates(from, &to.model.effects, |i| to.x[to.model.coordinates_of(i)].to_vec());
-                self.fit_where_better(Start::at(to.model.clone(), x))?;
+                self.start_where_better(Start::at(to.model.clone(), x))?;
             }
         }
-        Ok(())
+        self.settle_close(labels, progress)
     }
 
-    /// Fits parts of the best model under `labels` anew that do better from where it is: what ended on the way there is no match for it.
+    /// Takes the searches of parts of the best model under `labels` to their ends, from where it is if they do better there: what ended on
+    /// the way there is no match for it.
     pub(super) fn renew_parts(&mut self, labels: &[usize]) -> Result<()> {
         loop {
             let best = self.leading(labels).model.effects.clone();
             for part in (0..best.len()).map(|i| [&best[..i], &best[i + 1..]].concat()) {
                 if self.known(&part).is_some() {
-                    self.fit_where_better(self.part(&part))?;
+                    self.start_where_better(self.part(&part))?;
+                    self.settled(&part)?;
                 }
             }
             if is_same_set(&best, &self.leading(labels).model.effects) {
@@ -95,12 +97,11 @@ impl<'a> Competition<'a> {
         }
     }
 
-    /// Fits a known model anew from `start` if it does better there than where it is.
-    fn fit_where_better(&mut self, start: Start<'a>) -> Result<()> {
+    /// Has the search of a known model go on from `start` if it does better there than where it is.
+    fn start_where_better(&mut self, start: Start<'a>) -> Result<()> {
         let Some(index) = self.known(&start.model.effects) else { return Ok(()) };
         if self.fitter.cost_at(&start.model, start.x.clone()).is_ok_and(|cost| cost < self.fits[index].cost) {
-            let fit = self.fitter.fit(start, Stop::CLOSE)?;
-            self.keep(fit);
+            self.fits[index] = self.fitter.fit(start, Stop::WHERE_IT_IS)?;
         }
         Ok(())
     }

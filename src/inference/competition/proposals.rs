@@ -85,7 +85,7 @@ pub(super) struct Proposal {
 impl<'a> Competition<'a> {
     /// The model of `base` with what is proposed, where to start its fit and the slopes that are known there: where the linear problem puts
     /// it, or on the way there, as far as the column agrees.
-    pub(super) fn started(by: &Fitter<'a>, base: &Fit<'a>, set: Proposal) -> Start<'a> {
+    pub(super) fn started(by: &Fitter<'a>, base: &Fit<'a>, set: &Proposal) -> Start<'a> {
         let mut model = base.model.clone();
         model.effects.extend(set.parts.iter().map(|part| part.instance.clone()));
         let at = |share: f64| {
@@ -132,7 +132,7 @@ impl<'a> Competition<'a> {
     }
 
     /// How residuals change towards each candidate that `base` lacks and the linear problem says something of.
-    pub(super) fn directions(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Direction> {
+    pub(super) fn directions(&self, by: &Fitter<'a>, near: Option<&Fitter<'a>>, base: &Fit<'a>) -> Vec<Direction> {
         if base.model.effects.len() >= self.max_effects {
             return Vec::new();
         }
@@ -140,11 +140,11 @@ impl<'a> Competition<'a> {
         let smooth = on_threads(smooth.len(), |i| Self::at_delay(by, base, smooth[i].clone()));
         // Further nodes are multiples of these, which come first.
         let nodes = Self::nodes(&smooth, NODES[0]);
-        let near = by.near(&base.model, &base.x);
+        let near = near.and_then(Fitter::neighbourhood);
         let of = |near: Option<&Neighbourhood<'_, 'a>>, nodes: Vec<Node>| -> Vec<Direction> {
             on_threads(nodes.len(), |i| Self::told(near, by, base, nodes[i].clone())).into_iter().flatten().collect()
         };
-        let mut all = of(near.as_ref(), nodes.clone());
+        let mut all = of(near, nodes.clone());
         let again = of(None, self.shortlist(by, base, &all));
         // What is promising by the equivalent-linear column is replayed, and everything where replays do something else.
         if !bears_out(&again, &all) {
@@ -154,7 +154,7 @@ impl<'a> Competition<'a> {
         all.extend(again);
         // By that column: so slight a change is lost among what a replay does by chance.
         let slight = Self::nodes(&smooth, SLIGHT);
-        let slight = on_threads(slight.len(), |i| Self::direction(near.as_ref(), by, base, slight[i].clone()));
+        let slight = on_threads(slight.len(), |i| Self::direction(near, by, base, slight[i].clone()));
         all.extend(slight.into_iter().flatten());
         all
     }

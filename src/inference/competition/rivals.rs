@@ -5,7 +5,7 @@ use super::{Competition, FAR, FINALS, has_set, is_same_set};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::inference::parameters::Model;
-use crate::inference::posterior::{Fit, Fitter, Start, least_borne_out};
+use crate::inference::posterior::{Fit, Fitter, Start, Stop, least_borne_out};
 use crate::progress::Progress;
 
 impl<'a> Competition<'a> {
@@ -20,13 +20,16 @@ impl<'a> Competition<'a> {
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &leading)?;
         let mut rivals = self.rivals(&by, &start);
-        self.best_first(&mut rivals);
+        self.most_promising_first(&mut rivals);
         let least = self.log_posterior(&start) - FAR;
-        rivals.retain(|rival| self.log_posterior(rival) > least);
+        rivals.retain(|rival| self.promise(rival) > least);
         for rival in rivals.into_iter().take(FINALS) {
             let model = Model { declared: leading.model.declared, effects: rival.model.effects };
-            self.finish(Start::at(model, rival.x), progress);
+            if let Ok(fit) = self.fitter.fit(Start::at(model, rival.x), Stop::ON_THE_WAY) {
+                self.keep(fit);
+            }
         }
+        self.settle_close(labels, progress)?;
         Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
     }
 
@@ -70,7 +73,7 @@ impl<'a> Competition<'a> {
             let next: Vec<Start<'a>> =
                 self.next_to(own).filter(is_meant).map(|i| exchanged(base, index, i)).filter(is_new).collect();
             starts.extend(next);
-            Self::replayed(by, &starts)
+            self.replayed(by, &starts)
         };
         (0..base.model.effects.len()).flat_map(of).collect()
     }
@@ -102,7 +105,6 @@ fn is_rival(own: &Instance, other: &Instance) -> bool {
 #[cfg(test)]
 mod tests {
     use super::super::super::made_up::{Nonlinear, Truth, as_declared, in_competition, problem};
-    use super::super::super::posterior::Stop;
     use super::*;
 
     #[test]

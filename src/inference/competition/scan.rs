@@ -3,7 +3,7 @@
 //! little of it.
 
 use super::proposals::{SHORTLIST, away, distinct, is_among_best, is_linear};
-use super::{Competition, FAR, FAR_HEAT};
+use super::{Competition, FAR, FAR_HEATS, HEAT};
 use crate::effects::Instance;
 use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop, is_borne_out};
@@ -43,7 +43,7 @@ impl<'a> Competition<'a> {
         let own: Vec<&Instance> = found.iter().filter_map(|fit| fit.model.effects.last()).collect();
         let best = distinct(own, |instance| vec![(*instance).clone()]);
         let is_alike = |fit: &&Fit<'a>| fit.model.effects.last().is_some_and(|e| best.iter().any(|b| b.is_alike(e)));
-        Self::replayed(by, &found.iter().filter(is_alike).map(Start::beside).collect::<Vec<_>>())
+        self.replayed(by, &found.iter().filter(is_alike).map(Start::beside).collect::<Vec<_>>())
     }
 
     /// Fits of the most promising `candidates` to the equivalent-linear column, best first.
@@ -69,10 +69,21 @@ impl<'a> Competition<'a> {
         fits
     }
 
-    /// First fits to the column itself, from where those to the equivalent-linear one ended.
-    pub(super) fn replayed(by: &Fitter<'a>, starts: &[Start<'a>]) -> Vec<Fit<'a>> {
-        let fitted = |i: usize| by.fit(starts[i].clone(), FAR_HEAT).ok();
-        on_threads(starts.len(), fitted).into_iter().flatten().collect()
+    /// First fits to the column itself, from where those to the equivalent-linear one ended: what is far behind by what its search promises
+    /// is left behind on the way.
+    pub(super) fn replayed(&self, by: &Fitter<'a>, starts: &[Start<'a>]) -> Vec<Fit<'a>> {
+        let first = |i: usize| by.fit(starts[i].clone(), HEAT).ok();
+        let mut fits: Vec<Fit<'a>> = on_threads(starts.len(), first).into_iter().flatten().collect();
+        for _ in 1..FAR_HEATS {
+            let highest = fits.iter().map(|fit| self.log_posterior(fit)).fold(f64::NEG_INFINITY, f64::max);
+            let farther = |i: usize| {
+                let fit = fits[i].clone();
+                let goes_on = fit.expected_gain() > HEAT.gain && self.promise(&fit) > highest - FAR;
+                if goes_on { by.fit(Start::from(fit), HEAT).ok() } else { Some(fit) }
+            };
+            fits = on_threads(fits.len(), farther).into_iter().flatten().collect();
+        }
+        fits
     }
 }
 

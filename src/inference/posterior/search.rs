@@ -110,6 +110,7 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed at the start.
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
+        let is_settled = if stop.steps == 0 { start.is_settled } else { stop.replays != Replays::Nowhere };
         let mut search = self.begun(start)?;
         for _ in 0..stop.steps {
             if self.has_ended(&mut search, stop) {
@@ -120,11 +121,12 @@ impl<'a> Fitter<'a> {
         let cost = self.cost(&search.model, &search.at);
         let Search { model, at, slopes, axes, is_fresh, was_replayed, .. } = search;
         let Point { x, prediction, rows, .. } = at;
-        Ok(Fit { model, x, prediction, rows, cost, slopes, g, axes: axes.filter(|_| is_fresh), was_replayed })
+        let axes = axes.filter(|_| is_fresh);
+        Ok(Fit { model, x, prediction, rows, cost, slopes, g, axes, was_replayed, is_settled })
     }
 
     fn begun(&self, start: Start<'a>) -> Result<Search<'a>> {
-        let Start { model, x, slopes: known, axes, was_replayed } = start;
+        let Start { model, x, slopes: known, axes, was_replayed, .. } = start;
         let at = self.point(&model, x)?;
         let own = axes.as_ref().filter(|_| known.is_empty());
         let taken = own.and_then(|axes| self.slopes_along(&model, &at, axes, None));

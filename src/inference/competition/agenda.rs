@@ -1,0 +1,79 @@
+//! Which model is looked around next.
+
+use super::proposals::distinct;
+use super::{Competition, WINDOW, has_set};
+use crate::effects::Instance;
+use crate::error::Result;
+use crate::inference::posterior::{Fit, Stop};
+use crate::progress::Progress;
+
+impl<'a> Competition<'a> {
+    /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
+    pub(super) fn round(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
+        self.renew_anchor(labels, Stop::CLOSE)?;
+        self.renew_spread(labels, progress)?;
+        self.renew_parts(labels)?;
+        self.exchange_modes(labels, progress)?;
+        if self.explore(labels, progress)? {
+            return Ok(true);
+        }
+        // Where nothing is lacking the answer may be there already under other names; where something is, none of them has it all.
+        let is_lacking = self.is_lacking(labels);
+        if !is_lacking && self.challenge(labels, progress)? {
+            return Ok(true);
+        }
+        match self.agenda(labels, is_lacking).into_iter().find(|set| !has_set(&self.expanded, set)) {
+            Some(next) => self.expand(next, progress).map(|()| true),
+            None => Ok(is_lacking && self.challenge(labels, progress)?),
+        }
+    }
+
+    /// The models to be looked around under `labels`: the leading one less each of its effects, and what is nearly as probable, or, where
+    /// something is lacking, the best of each number of effects.
+    fn agenda(&self, labels: &[usize], is_lacking: bool) -> Vec<Vec<Instance>> {
+        let leading = self.leading(labels);
+        let effects = &leading.model.effects;
+        let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();
+        let keeps_labels = |i: &usize| !effects[*i].exchanges_labels();
+        // A response without a name is what named effects are compared with, and nothing to look further from: it takes up what they
+        // would explain.
+        let is_own = |fit: &&Fit<'a>| fit.model.is_named() && fit.labels() == labels && !self.is_idle(fit);
+        let mut own: Vec<&Fit<'a>> = self.fits.iter().filter(is_own).collect();
+        self.best_first(&mut own);
+        let close = if is_lacking {
+            own.retain(|fit| fit.model.effects.len() <= effects.len());
+            best_of_each_number(own, |fit| fit.model.effects.clone())
+        } else {
+            let least = self.log_posterior(leading) - WINDOW;
+            own.into_iter().filter(|fit| self.log_posterior(fit) > least).collect()
+        };
+        let parts = (0..effects.len()).filter(keeps_labels).map(without);
+        let mut agenda: Vec<_> = parts.chain(close.into_iter().map(|fit| fit.model.effects.clone())).collect();
+        // What is simpler first: it may do as well, and it leads to more. Then the best, and what is less probable.
+        agenda.sort_by_key(Vec::len);
+        agenda
+    }
+
+    /// Whether a model is no more probable than one of fewer of its effects: what else is in it leads nowhere.
+    ///
+    /// Source: Madigan and Raftery (1994), the second principle of Occam's window.
+    fn is_idle(&self, fit: &Fit<'a>) -> bool {
+        let has = |other: &Fit<'a>| other.model.effects.iter().all(|e| fit.model.index_of(e).is_some());
+        let is_simpler = |other: &&Fit<'a>| other.model.effects.len() < fit.model.effects.len() && has(other);
+        self.fits.iter().filter(is_simpler).any(|other| self.log_posterior(other) >= self.log_posterior(fit))
+    }
+}
+
+/// The best of `all`, best first, whose effects are those that `of` says: of each number of effects those of distinct forms, the fewest
+/// first.
+pub(super) fn best_of_each_number<T>(all: Vec<T>, of: impl Fn(&T) -> Vec<Instance>) -> Vec<T> {
+    let mut by_number: Vec<Vec<T>> = Vec::new();
+    for one in all {
+        let number = of(&one).len();
+        if by_number.len() <= number {
+            by_number.resize_with(number + 1, Vec::new);
+        }
+        by_number[number].push(one);
+    }
+    by_number.into_iter().flat_map(|alike| distinct(alike, &of)).collect()
+}

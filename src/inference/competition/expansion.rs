@@ -1,0 +1,130 @@
+//! What is fitted around a model: the most promising candidates, first in few events, the best of them in all.
+
+use super::null::Null;
+use super::proposals::{Linear, Proposal, distinct};
+use super::{Competition, FAR, FINALS, HEAT, is_same_set};
+use crate::effects::{self, Instance};
+use crate::error::Result;
+use crate::inference::parameters::Model;
+use crate::inference::posterior::{Fit, Fitter, Start, Stop};
+use crate::numerics::threads::on_threads;
+use crate::progress::Progress;
+
+/// Prior standard deviations that a tolerance may move for slopes to be carried along.
+const NEAR: f64 = 1.0;
+
+impl<'a> Competition<'a> {
+    /// Fits the most promising candidates beside the fitted model with `effects`.
+    pub(super) fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
+        let base = self.settled(&effects)?;
+        let by = self.few.fitter(&self.fitter);
+        let start = self.few.of(&by, &base)?;
+        let is_open = start.model.effects.len() < self.max_effects;
+        let near = by.by_surrogate(&start.model, &start.x);
+        let directions = self.directions(&by, near.as_ref(), &start);
+        let linear = Linear::new(&by, &start, &directions).filter(|_| !directions.is_empty());
+        if let Some(null) = linear.as_ref().and_then(|linear| Null::of(linear, &self.ln_priors(linear))) {
+            self.nulls.retain(|(set, _)| !is_same_set(set, &effects));
+            self.nulls.push((effects.clone(), null));
+        }
+        self.expanded.push(effects);
+        let beside = Beside { by: &by, near: near.as_ref(), base: &start };
+        let mut heats = self.heats(&beside, linear.as_ref());
+        heats.extend(self.unnamed(&beside));
+        if is_open && base.is_strained() {
+            heats.extend(self.strong(&by, &start));
+        }
+        self.most_promising_first(&mut heats);
+        let mut finals: Vec<Fit<'a>> = Vec::new();
+        let is_new = |finals: &[Fit<'a>], heat: &Fit<'a>| {
+            !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
+        };
+        // What is far behind in a few events is not worth all of them; a response without a name is compared with nothing here.
+        let highest = heats.iter().filter(|heat| heat.model.is_named()).map(|heat| self.promise(heat));
+        let worth = highest.fold(f64::NEG_INFINITY, f64::max) - FAR;
+        for heat in heats.iter().filter(|heat| self.promise(heat) > worth) {
+            if finals.len() < FINALS && is_new(&finals, heat) {
+                finals.push(heat.clone());
+            }
+        }
+        // One that leaves little tells most of what to expect, even where what is expected now does not favour it.
+        let alike = heats.into_iter().filter(|h| h.labels() == base.labels());
+        let least = alike.map(|h| (Self::supported(by.forward, &h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
+        let telling = least.map(|(_, heat)| heat);
+        finals.retain(|heat| telling.as_ref().is_none_or(|t| !is_same_set(&t.model.effects, &heat.model.effects)));
+        let of_finals = finals.into_iter().map(|heat| (heat, Stop::ON_THE_WAY));
+        for (heat, stop) in of_finals.chain(telling.map(|heat| (heat, Stop::CLOSE))) {
+            let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
+            // Slopes where the heat began lead on from where it ended, unless that is far.
+            let is_near = Self::is_near(&base, &heat);
+            let slopes = Self::slopes_of(&base, &model);
+            let start = Start::at(model, heat.x);
+            if let Ok(fit) = self.fitter.fit(if is_near { start.carrying(slopes, &base) } else { start }, stop) {
+                self.keep(fit);
+            }
+        }
+        self.settle_close(base.labels(), progress)
+    }
+
+    /// First fits of the most promising candidates by the linear problem there.
+    fn heats(&self, beside: &Beside<'a, '_>, linear: Option<&Linear<'_, 'a>>) -> Vec<Fit<'a>> {
+        let mut proposals = self.proposals(beside.by, beside.base, linear);
+        proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
+        // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
+        // comes on top of a pair is sought when one of the two is in the model.
+        let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
+        let of = |p: &Proposal| -> Vec<Instance> { p.parts.iter().map(|part| part.instance.clone()).collect() };
+        let pairs = if beside.base.is_strained() { Vec::new() } else { distinct(pairs, of) };
+        let all: Vec<Proposal> = distinct(singles, of).into_iter().chain(pairs).collect();
+        let fitted = |i: usize| beside.first_fit(&|by| Self::started(by, beside.base, &all[i]));
+        on_threads(all.len(), fitted).into_iter().flatten().collect()
+    }
+
+    /// The best first fit of what has no name: a response of one sensor, or of each.
+    fn unnamed(&self, beside: &Beside<'a, '_>) -> Option<Fit<'a>> {
+        let base = beside.base;
+        if !base.model.is_named() {
+            return None;
+        }
+        let all = effects::unnamed(&beside.by.forward.problem.array);
+        let alone = all.iter().map(|response| vec![response.clone()]);
+        let together = Some(all.clone()).filter(|all| all.len() > 1);
+        let all: Vec<Vec<Instance>> = alone.chain(together).collect();
+        let fitted = |i: usize| {
+            let effects = [&base.model.effects[..], &all[i]].concat();
+            let model = Model { declared: base.model.declared, effects };
+            let mut x = base.x.clone();
+            x.resize(model.len(), 0.0);
+            let start = Start::at(model, x).carrying(base.slopes.iter().cloned().map(Some), base);
+            beside.first_fit(&|_| start.clone())
+        };
+        let fits = on_threads(all.len(), fitted).into_iter().flatten();
+        fits.max_by(|a, b| self.promise(a).total_cmp(&self.promise(b)))
+    }
+
+    /// Whether the tolerances of `heat` are where slopes at `base` are of use.
+    pub(super) fn is_near(base: &Fit<'_>, heat: &Fit<'_>) -> bool {
+        let declared = base.model.declared.len();
+        base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
+    }
+}
+
+/// A model that candidates are added to.
+struct Beside<'a, 'c> {
+    by: &'c Fitter<'a>,
+    /// The equivalent-linear column there.
+    near: Option<&'c Fitter<'a>>,
+    base: &'c Fit<'a>,
+}
+
+impl<'a> Beside<'a, '_> {
+    /// The first fit of a model with more effects from where it would start: by the equivalent-linear column as far as a replay of where
+    /// that ends bears it out.
+    fn first_fit(&self, start: &dyn Fn(&Fitter<'a>) -> Start<'a>) -> Option<Fit<'a>> {
+        let foretold = self.near.and_then(|near| {
+            let Start { model, x, .. } = start(near);
+            self.by.foretold(near, self.base.cost, Start::at(model, x))
+        });
+        self.by.fit(foretold.unwrap_or_else(|| start(self.by)), HEAT).ok()
+    }
+}
