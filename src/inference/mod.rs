@@ -25,6 +25,8 @@ mod forward;
 mod intervals;
 #[cfg(test)]
 mod made_up;
+#[doc = include_str!("measured.md")]
+pub mod measured {}
 mod parameters;
 mod posterior;
 mod power;
