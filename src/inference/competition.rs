@@ -256,18 +256,17 @@ impl<'a> Competition<'a> {
 
     /// The fit of a model of `effects`, its search at its end.
     fn settled(&mut self, effects: &[Instance]) -> Result<Fit<'a>> {
-        let index = match self.known(effects) {
-            Some(index) if self.fits[index].is_settled => return Ok(self.fits[index].clone()),
-            Some(index) => {
-                self.fits[index] = self.fitter.fit(Start::from(self.fits[index].clone()), Stop::CLOSE)?;
-                index
-            }
-            None => {
-                self.fits.push(self.fitter.fit(self.part(effects), Stop::CLOSE)?);
-                self.fits.len() - 1
-            }
+        let known = self.known(effects);
+        let fit = match known.map(|index| &self.fits[index]) {
+            Some(fit) if fit.is_settled => return Ok(fit.clone()),
+            Some(fit) => self.fitter.fit(Start::from(fit.clone()), Stop::CLOSE)?,
+            None => self.fitter.fit(self.part(effects), Stop::CLOSE)?,
         };
-        Ok(self.fits[index].clone())
+        match known {
+            Some(index) => self.fits[index] = fit.clone(),
+            None => self.fits.push(fit.clone()),
+        }
+        Ok(fit)
     }
 
     /// Goes on with the searches of models under `labels` until none that has not come to its end promises more than the most probable
@@ -287,6 +286,13 @@ impl<'a> Competition<'a> {
             }
         }
         Ok(())
+    }
+
+    /// Fits from `start` as far as `stop` says and keeps that.
+    fn begin(&mut self, start: Start<'a>, stop: Stop) {
+        if let Ok(fit) = self.fitter.fit(start, stop) {
+            self.keep(fit);
+        }
     }
 
     /// Fits from `start` and keeps that; what was found, if anything.

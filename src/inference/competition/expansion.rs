@@ -59,9 +59,7 @@ impl<'a> Competition<'a> {
             let is_near = Self::is_near(&base, &heat);
             let slopes = Self::slopes_of(&base, &model);
             let start = Start::at(model, heat.x);
-            if let Ok(fit) = self.fitter.fit(if is_near { start.carrying(slopes, &base) } else { start }, stop) {
-                self.keep(fit);
-            }
+            self.begin(if is_near { start.carrying(slopes, &base) } else { start }, stop);
         }
         self.settle_close(base.labels(), progress)
     }

@@ -1,5 +1,5 @@
-//! What models are compared by: what few elements leave wrong, taken out beside the best, and what is expected of residuals, read off beside
-//! the model that leaves least.
+//! What models are compared by: what few elements leave wrong, taken out beside the best, and what is expected of residuals, read off
+//! beside the model that leaves least.
 
 use super::agenda::best_of_each_number;
 use super::{Competition, FAR, TOLD, is_same_set};
@@ -56,8 +56,9 @@ impl<'a> Competition<'a> {
         })
     }
 
-    /// Reads off what is expected of residuals under `labels`, and fits again whatever is close, if that has changed. What the column has
-    /// wrong and what strays is what no model explains: the model beside which least of it is left tells how much it is, for all of them.
+    /// Reads off what is expected of residuals under `labels`, and weighs anew whatever is close, if that has changed: searches go on where
+    /// they promise to count. What the column has wrong and what strays is what no model explains: the model beside which least of it is
+    /// left tells how much it is, for all of them.
     pub(super) fn renew_spread(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
         let own = self.fits.iter().filter(|f| f.labels() == labels && f.is_settled);
         let supported = own.map(|f| (f, Self::supported(self.fitter.forward, f)));

@@ -25,9 +25,7 @@ impl<'a> Competition<'a> {
         rivals.retain(|rival| self.promise(rival) > least);
         for rival in rivals.into_iter().take(FINALS) {
             let model = Model { declared: leading.model.declared, effects: rival.model.effects };
-            if let Ok(fit) = self.fitter.fit(Start::at(model, rival.x), Stop::ON_THE_WAY) {
-                self.keep(fit);
-            }
+            self.begin(Start::at(model, rival.x), Stop::ON_THE_WAY);
         }
         self.settle_close(labels, progress)?;
         Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
