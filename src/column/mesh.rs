@@ -1,7 +1,7 @@
 //! Elements, nodal masses, the geostatic state, and the laws started from it.
 
 use super::features::Around;
-use super::{Profile, Rayleigh, Structure, Vertical};
+use super::{Analysis, Profile, Rayleigh, Structure, Vertical};
 use crate::error::{Error, Result};
 use crate::registry;
 use crate::soil::{Damping, LAWS, Law, Point, Relaxation, Response, relaxations};
@@ -23,6 +23,9 @@ pub(super) struct Element {
     pub pore_pa: f64,
     /// Shear stiffness of a container in parallel.
     pub container_pa: f64,
+    /// What the consistent share of its mass has beside its diagonal, horizontal and vertical, kg/m²: it takes up a difference of the
+    /// accelerations of its two nodes.
+    pub coupling_kg_m2: [f64; 2],
     /// Stiffness-proportional damping, s.
     pub beta_s: f64,
     /// Small-strain damping by memory of the stress; the law of the element has it built in.
@@ -63,7 +66,7 @@ impl Mesh {
         1e-7 * self.elements.last().map_or(1.0, |e| e.vertical_pa.abs()).max(1.0)
     }
 
-    pub fn new(profile: &Profile) -> Result<Self> {
+    pub fn new(profile: &Profile, analysis: &Analysis) -> Result<Self> {
         let cuts = cuts(profile);
         let stretches = stretches(profile, &cuts)?;
         let frequency_hz = profile.fundamental_hz();
@@ -80,7 +83,7 @@ impl Mesh {
             frequency_hz,
         };
         for dressed in stretches {
-            mesh.push(profile, &cuts[dressed.elements.clone()], dressed)?;
+            mesh.push((profile, analysis), &cuts[dressed.elements.clone()], dressed)?;
         }
         if let (true, Some(base), Some(layer)) = (is_compliant, mesh.dashpot.last_mut(), profile.layers.last()) {
             base[0] += layer.density_kg_m3 * layer.vs_m_s / profile.features.base_impedance_ratio;
@@ -89,7 +92,7 @@ impl Mesh {
     }
 
     /// Adds the elements of one law, with their masses and dampers.
-    fn push(&mut self, profile: &Profile, cuts: &[Cut], dressed: Dressed) -> Result<()> {
+    fn push(&mut self, (profile, analysis): (&Profile, &Analysis), cuts: &[Cut], dressed: Dressed) -> Result<()> {
         let Dressed { law, around, .. } = dressed;
         let points: Vec<Point> = cuts.iter().map(|cut| cut.point).collect();
         let damping: Vec<Damping> = points.iter().map(|point| law.damping(point)).collect();
@@ -114,6 +117,8 @@ impl Mesh {
             let alpha_1_s = profile.rayleigh.alpha_1_s + asked.alpha_1_s;
             let soil = 0.5 * point.density_kg_m3 * height_m;
             let half = [soil + 0.5 * container.mass_kg_m2 * height_m / profile.depth_m(), soil];
+            let crossing_s = height_m * (point.density_kg_m3 / elastic_pa[0]).sqrt();
+            let share = analysis.mass.consistent_share(crossing_s, analysis);
             for node in i..(i + 2).min(self.mass.len()) {
                 for (k, half) in half.into_iter().enumerate() {
                     self.mass[node][k] += half;
@@ -127,6 +132,7 @@ impl Mesh {
                 elastic_pa,
                 pore_pa: if point.depth_m > profile.water_table_m { law.pore_stiffness_pa() } else { 0.0 },
                 container_pa: container.stiffness_pa,
+                coupling_kg_m2: half.map(|half| half * share / 3.0),
                 beta_s: if around.slips() { 0.0 } else { declared_s + asked.beta_s },
                 relaxation: relaxations[i - first],
             });

@@ -42,7 +42,7 @@ mod profile;
 mod run;
 mod step;
 
-pub use analysis::Analysis;
+pub use analysis::{Analysis, MassMatrix};
 pub use downgoing::Downgoing;
 pub use failure::{Cause, Failure};
 pub use features::{Container, Features, MovedBoundary, RateZone, Slip, SofteningZone, Structure};
@@ -77,7 +77,7 @@ impl Column {
         if !problems.is_empty() {
             return Err(crate::error::Error::new(problems.join("\n")).usage());
         }
-        let (mesh, corner_hz) = (Mesh::new(profile)?, profile.features.downgoing_corner_hz);
+        let (mesh, corner_hz) = (Mesh::new(profile, analysis)?, profile.features.downgoing_corner_hz);
         let downgoing = (corner_hz > 0.0 && corner_hz.is_finite()).then(|| Arc::new(Downgoing::new(&mesh, corner_hz)));
         Ok(Self { mesh, analysis: analysis.clone(), downgoing })
     }
@@ -85,6 +85,12 @@ impl Column {
     /// Depths of the element centres, surface down, m.
     pub fn channel_depths_m(&self) -> Vec<f64> {
         self.mesh.elements.iter().map(|e| e.depth_m).collect()
+    }
+
+    /// Depths where elements meet, from the surface to the base, m.
+    pub fn node_depths_m(&self) -> Vec<f64> {
+        let bottoms_m = self.mesh.elements.iter().map(|e| e.depth_m + 0.5 * e.height_m);
+        std::iter::once(0.0).chain(bottoms_m).collect()
     }
 
     /// Vertical effective stress of each element before shaking, Pa, compression positive.

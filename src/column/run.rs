@@ -16,8 +16,8 @@ pub struct Frame<'a> {
     pub base_m_s2: f64,
     /// Absolute horizontal acceleration at the element centres, surface down, m/s².
     pub elements_m_s2: &'a [f64],
-    /// Absolute horizontal acceleration of the surface node, m/s².
-    pub surface_m_s2: f64,
+    /// Absolute horizontal acceleration where elements meet, from the surface to the base, m/s².
+    pub nodes_m_s2: &'a [f64],
     /// Shear strain of the elements.
     pub gamma: &'a [f64],
     /// Shear stress of the elements, without what Rayleigh damping and containers carry, Pa.
@@ -26,6 +26,13 @@ pub struct Frame<'a> {
     pub vertical_effective_pa: &'a [f64],
     /// Excess pore pressure of the elements, Pa.
     pub excess_pore_pa: &'a [f64],
+}
+
+impl Frame<'_> {
+    /// Absolute horizontal acceleration of the surface, m/s².
+    pub fn surface_m_s2(&self) -> f64 {
+        self.nodes_m_s2[0]
+    }
 }
 
 /// How much work a run was.
@@ -251,8 +258,8 @@ impl Column {
 
 /// A frame in the making: accelerations relative to the base.
 pub(super) struct Frames {
-    pub elements_m_s2: Vec<f64>,
-    pub surface_m_s2: f64,
+    pub nodes_m_s2: Vec<f64>,
+    elements_m_s2: Vec<f64>,
     pub gamma: Vec<f64>,
     pub tau_pa: Vec<f64>,
     pub vertical_pa: Vec<f64>,
@@ -263,8 +270,8 @@ impl Frames {
     pub fn new(column: &Column) -> Self {
         let zero = vec![0.0; column.mesh.elements.len()];
         Self {
+            nodes_m_s2: vec![0.0; zero.len() + 1],
             elements_m_s2: zero.clone(),
-            surface_m_s2: 0.0,
             gamma: zero.clone(),
             tau_pa: zero.clone(),
             vertical_pa: zero.clone(),
@@ -280,12 +287,15 @@ impl Frames {
         sink: &mut dyn FnMut(&Frame) -> Result<()>,
     ) -> Result<(), Failure> {
         let base_m_s2 = input.base().at(time_s);
-        self.elements_m_s2.iter_mut().for_each(|a| *a += base_m_s2);
+        for (mean, ends) in self.elements_m_s2.iter_mut().zip(self.nodes_m_s2.windows(2)) {
+            *mean = 0.5 * (ends[0] + ends[1]) + base_m_s2;
+        }
+        self.nodes_m_s2.iter_mut().for_each(|a| *a += base_m_s2);
         let frame = Frame {
             time_s,
             base_m_s2: input.recorded.at(time_s),
             elements_m_s2: &self.elements_m_s2,
-            surface_m_s2: base_m_s2 + self.surface_m_s2,
+            nodes_m_s2: &self.nodes_m_s2,
             gamma: &self.gamma,
             tau_pa: &self.tau_pa,
             vertical_effective_pa: &self.vertical_pa,

@@ -145,7 +145,11 @@ impl<'a, const D: usize> Stepper<'a, D> {
             let beside = [element.container_pa, element.pore_pa];
             let entry = |r: usize, c: usize| {
                 let own = t[2 * r + c];
-                f * if r == c { own + beside[r] + viscous * element.elastic_pa[3 * r] } else { own }
+                if r == c {
+                    f * (own + beside[r] + viscous * element.elastic_pa[3 * r]) - c_mass * element.coupling_kg_m2[r]
+                } else {
+                    f * own
+                }
             };
             let k: [[f64; D]; D] = from_fn(|r| from_fn(|c| entry(r, c)));
             let add = |d: &mut [[f64; D]; D]| {
@@ -257,13 +261,20 @@ impl<'a, const D: usize> Stepper<'a, D> {
             self.trial_force[0][0] -= traction;
             size = unbalanced.abs();
         }
+        let acceleration = |node: usize| self.trial_acceleration.get(node).copied().unwrap_or([0.0; D]);
+        let mut pull_above = [0.0; D];
         for (i, r) in self.correction.iter_mut().enumerate() {
-            let (f, old, a) = (self.trial_force[i], self.force[i], self.trial_acceleration[i]);
-            r[0] = mesh.mass[i][0] * (a[0] + base) + (1.0 + alpha) * f[0] - alpha * old[0];
+            let (f, old, a, below) = (self.trial_force[i], self.force[i], acceleration(i), acceleration(i + 1));
+            let coupling = mesh.elements.get(i).map_or([0.0; 2], |e| e.coupling_kg_m2);
+            let pull: [f64; D] = from_fn(|k| coupling[k] * (below[k] - a[k]));
+            let beside: [f64; D] = from_fn(|k| pull[k] - pull_above[k]);
+            pull_above = pull;
+            r[0] = (mesh.mass[i][0] * (a[0] + base) + beside[0]) + (1.0 + alpha) * f[0] - alpha * old[0];
             let mut worst = r[0].abs();
             if D == 2 {
                 let is_held = mesh.is_compliant && i + 1 == n;
-                let vertical = mesh.mass[i][1] * a[D - 1] + (1.0 + alpha) * f[D - 1] - alpha * old[D - 1];
+                let inertia = mesh.mass[i][1] * a[D - 1] + beside[D - 1];
+                let vertical = inertia + (1.0 + alpha) * f[D - 1] - alpha * old[D - 1];
                 r[D - 1] = if is_held { 0.0 } else { vertical };
                 worst = worst.max(r[D - 1].abs());
             }
@@ -283,14 +294,13 @@ impl<'a, const D: usize> Stepper<'a, D> {
     /// Writes what there is to see to `frames`.
     pub fn show(&self, frames: &mut Frames) {
         for (i, (element, response)) in self.column.mesh.elements.iter().zip(&self.responses).enumerate() {
-            let below = self.acceleration.get(i + 1).map_or(0.0, |a| a[0]);
-            frames.elements_m_s2[i] = 0.5 * (self.acceleration[i][0] + below);
             frames.gamma[i] = self.gamma[i];
             frames.tau_pa[i] = response.tau_pa;
             frames.vertical_pa[i] = -response.sigma_yy_pa;
             frames.pore_pa[i] = -element.pore_pa * self.eps_yy[i];
         }
-        frames.surface_m_s2 = self.acceleration[0][0];
+        let accelerations = self.acceleration.iter().map(|a| a[0]).chain([0.0]);
+        frames.nodes_m_s2.iter_mut().zip(accelerations).for_each(|(node, a)| *node = a);
     }
 
     fn accept(&mut self, base: f64) {

@@ -4,26 +4,21 @@ use super::observation::{Observation, observation_matrix};
 use crate::column::{BaseMotion, Column, Failure, Frame};
 use crate::error::{Error, Result};
 
-/// Reads sensors from frames: the surface node, element centres below it, linear in depth between.
+/// Reads sensors from frames: linear in depth between the nodes of the mesh.
 pub struct Sampler {
     rows: Vec<Observation>,
-    values: Vec<f64>,
 }
 
 impl Sampler {
     /// A sampler of `column` at `sensor_depth_m`.
     pub fn new(column: &Column, sensor_depth_m: &[f64]) -> Self {
-        let mut depths = vec![0.0];
-        depths.extend(column.channel_depths_m());
-        Self { rows: observation_matrix(&depths, sensor_depth_m), values: vec![0.0; depths.len()] }
+        Self { rows: observation_matrix(&column.node_depths_m(), sensor_depth_m) }
     }
 
     /// Accelerations of the sensors at one frame into `readings_m_s2`, m/s².
-    pub fn read(&mut self, frame: &Frame<'_>, readings_m_s2: &mut [f64]) {
-        self.values[0] = frame.surface_m_s2;
-        self.values[1..].copy_from_slice(frame.elements_m_s2);
+    pub fn read(&self, frame: &Frame<'_>, readings_m_s2: &mut [f64]) {
         for (reading, row) in readings_m_s2.iter_mut().zip(&self.rows) {
-            *reading = row.of(&self.values);
+            *reading = row.of(frame.nodes_m_s2);
         }
     }
 }
@@ -42,7 +37,7 @@ pub fn all_sensor_histories(
     motions: &[BaseMotion<'_>],
     sensor_depth_m: &[f64],
 ) -> Vec<Result<Vec<Vec<f64>>>> {
-    let mut sampler = Sampler::new(column, sensor_depth_m);
+    let sampler = Sampler::new(column, sensor_depth_m);
     let mut readings = vec![0.0; sensor_depth_m.len()];
     let mut histories = vec![vec![Vec::new(); sensor_depth_m.len() + 1]; motions.len()];
     let runs = column.run_all(motions, &mut |motion, frame| {

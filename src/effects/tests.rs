@@ -233,7 +233,7 @@ fn surface(array: &Array, table: Option<&toml::Table>) -> Vec<f64> {
     let mut rows = Vec::new();
     let column = Column::new(&profile, &Analysis::default()).unwrap_or_else(|e| panic!("{table:?}: {e}"));
     let take = &mut |frame: &crate::column::Frame<'_>| {
-        rows.push(frame.surface_m_s2);
+        rows.push(frame.surface_m_s2());
         Ok(())
     };
     column.run(0.01, &base, take).unwrap_or_else(|e| panic!("{table:?}: {e}"));

@@ -35,7 +35,7 @@ impl Stage for Simulate {
     }
 
     fn version(&self) -> u32 {
-        7
+        8
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -123,7 +123,7 @@ fn simulate(
         metadata,
     };
     let mut writer = TrajectoryWriter::create(&folder.join(TRAJECTORY_FILE), header)?;
-    let mut sampler = Sampler::new(column, &sections.sensors.depths_m());
+    let sampler = Sampler::new(column, &sections.sensors.depths_m());
     let mut sensors_m_s2 = vec![0.0; sections.sensors.output.len()];
     let run = column.run(motion.dt_s, &motion.acceleration_m_s2, &mut |frame| {
         sampler.read(frame, &mut sensors_m_s2);
@@ -131,7 +131,7 @@ fn simulate(
             time_s: frame.time_s,
             base_m_s2: frame.base_m_s2,
             response_m_s2: frame.elements_m_s2,
-            surface_m_s2: frame.surface_m_s2,
+            surface_m_s2: frame.surface_m_s2(),
             sensors_m_s2: &sensors_m_s2,
         })
     });

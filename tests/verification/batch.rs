@@ -2,7 +2,8 @@
 
 use super::support::{layer, profile, rayleigh};
 use flare_pipe::column::{
-    Analysis, BaseMotion, Cause, Column, Features, Profile, RateZone, RunSummary, SofteningZone, Structure, Vertical,
+    Analysis, BaseMotion, Cause, Column, Features, MassMatrix, Profile, RateZone, RunSummary, SofteningZone, Structure,
+    Vertical,
 };
 use flare_pipe::numerics::lanes::Width;
 
@@ -50,7 +51,7 @@ fn see(frame: &flare_pipe::column::Frame, bits: &mut Vec<u64>) {
     let arrays =
         [frame.elements_m_s2, frame.gamma, frame.tau_pa, frame.vertical_effective_pa].into_iter().flatten().copied();
     // Zero has two signs, which are one number.
-    let all = [frame.time_s, frame.base_m_s2, frame.surface_m_s2].into_iter().chain(arrays);
+    let all = [frame.time_s, frame.base_m_s2, frame.surface_m_s2()].into_iter().chain(arrays);
     bits.extend(all.map(|x| (x + 0.0).to_bits()));
 }
 
@@ -72,6 +73,12 @@ fn columns() -> Vec<(&'static str, Profile, Analysis)> {
             "long steps of one length",
             plain(),
             Analysis { initial_step_s: 0.005, max_jump: f64::INFINITY, ..steady.clone() },
+        ),
+        ("matched mass", plain(), Analysis { mass: MassMatrix::Matched, ..steady.clone() }),
+        (
+            "matched mass on a compliant base in a container",
+            edited(&|f| (f.base_impedance_ratio, f.container.stiffness_pa) = (0.3, 2e6)),
+            Analysis { mass: MassMatrix::Matched, ..steady.clone() },
         ),
         ("compliant base", edited(&|f| f.base_impedance_ratio = 0.3), steady.clone()),
         ("container", edited(&|f| f.container.stiffness_pa = 2e6), steady.clone()),

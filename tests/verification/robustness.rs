@@ -184,7 +184,7 @@ fn a_hundred_undrained_lotung_motions_finish_without_spikes() {
             let mut rows = vec![Vec::new(); 201];
             let summary = column
                 .run(0.005, &motion(100 + i, pga_g, 15.0), &mut |frame| {
-                    rows[0].push(frame.surface_m_s2);
+                    rows[0].push(frame.surface_m_s2());
                     rows[1..].iter_mut().zip(frame.elements_m_s2).for_each(|(row, a)| row.push(*a));
                     Ok(())
                 })

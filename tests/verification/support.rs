@@ -37,7 +37,7 @@ pub fn shake(profile: &Profile, analysis: &Analysis, dt_s: f64, base: &[f64]) ->
     let mut rows = Vec::new();
     let summary = column
         .run(dt_s, base, &mut |frame| {
-            let mut row = vec![frame.surface_m_s2];
+            let mut row = vec![frame.surface_m_s2()];
             row.extend_from_slice(frame.elements_m_s2);
             rows.push(row);
             Ok(())

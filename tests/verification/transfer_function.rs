@@ -1,7 +1,7 @@
 //! Linear columns on a rigid base against the exact transfer function, amplitude and phase, and fitted orders.
 
 use crate::support::{layer, profile, rayleigh, shake};
-use flare_pipe::column::{Analysis, Layer, Profile, Rayleigh};
+use flare_pipe::column::{Analysis, Layer, MassMatrix, Profile, Rayleigh};
 use std::f64::consts::{PI, TAU};
 
 /// Real and imaginary part.
@@ -94,8 +94,13 @@ pub fn analysis(dt_s: f64) -> Analysis {
 
 /// Largest relative miss of the complex transfer function at these frequencies.
 fn transfer_miss(profile: &Profile, dt_s: f64, frequencies_hz: &[f64]) -> f64 {
+    transfer_miss_with(profile, &analysis(dt_s), frequencies_hz)
+}
+
+fn transfer_miss_with(profile: &Profile, analysis: &Analysis, frequencies_hz: &[f64]) -> f64 {
+    let dt_s = analysis.max_step_s;
     let base = pulse(dt_s, 40.0, 3.0);
-    let (rows, _) = shake(profile, &analysis(dt_s), dt_s, &base);
+    let (rows, _) = shake(profile, analysis, dt_s, &base);
     let surface: Vec<f64> = rows.iter().map(|r| r[0]).collect();
     let miss = |f: &f64| {
         let ours = div(transform(&surface, dt_s, *f), transform(&base, dt_s, *f));
@@ -134,6 +139,25 @@ fn error_falls_with_the_square_of_the_element_height() {
     let order = slope(&points);
     println!("spatial order {order:.3} from {points:?}");
     assert!((order - 2.0).abs() < 0.15);
+}
+
+#[test]
+fn with_matched_mass_half_the_elements_and_twice_the_step_are_as_exact() {
+    let of = |elements: usize, dt_s: f64, mass: MassMatrix| {
+        let column = two_layers(elements, rayleigh(0.05, 1.0, 10.0));
+        let analysis = Analysis { mass, max_jump: f64::INFINITY, ..analysis(dt_s) };
+        transfer_miss_with(&column, &analysis, &[1.0, 3.0, 5.0, 8.0])
+    };
+    // Elements that the slower waves cross in 1.7 steps, where all cancels, and in 1.1, where the largest share does not suffice.
+    for (elements, dt_s, is_as_exact) in [(16, 0.005, true), (32, 0.0025, true), (24, 0.005, false)] {
+        let matched = of(elements, dt_s, MassMatrix::Matched);
+        let lumped = of(elements, dt_s, MassMatrix::Lumped);
+        let finer = of(2 * elements, 0.5 * dt_s, MassMatrix::Lumped);
+        println!(
+            "{elements} elements, {dt_s} s: matched {matched:.1e}, lumped {lumped:.1e}, twice as fine {finer:.1e}"
+        );
+        assert!(if is_as_exact { matched < finer } else { matched < 0.6 * lumped });
+    }
 }
 
 #[test]

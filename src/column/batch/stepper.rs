@@ -252,11 +252,10 @@ impl<'a> Stepper<'a> {
         let n = self.width.lanes();
         let acceleration = |node: usize| self.acceleration.get(node * n + lane).copied().unwrap_or(0.0);
         for i in 0..self.column.mesh.elements.len() {
-            frames.elements_m_s2[i] = 0.5 * (acceleration(i) + acceleration(i + 1));
             frames.gamma[i] = self.gamma[i * n + lane];
             frames.tau_pa[i] = self.tau[i * n + lane];
         }
-        frames.surface_m_s2 = acceleration(0);
+        frames.nodes_m_s2.iter_mut().enumerate().for_each(|(i, node)| *node = acceleration(i));
         for (own, law) in &self.laws {
             law.vertical_pa(lane, &mut frames.vertical_pa[own.start / n..own.end / n]);
         }
@@ -342,7 +341,8 @@ fn corrected<L: Lane>(s: &mut Stepper) -> OfLanes {
         if let Some(e) = mesh.elements.get(i) {
             let viscous = c_rate * L::splat(e.beta_s);
             let tangent = L::load(&s.trial_tangent[row.clone()]) + L::splat(e.container_pa);
-            stiffness = hht / L::splat(e.height_m) * (tangent + viscous * L::splat(e.elastic_pa[0]));
+            stiffness = hht / L::splat(e.height_m) * (tangent + viscous * L::splat(e.elastic_pa[0]))
+                - L::splat(e.coupling_kg_m2[0]) * c_mass;
             diagonal = diagonal + stiffness;
         }
         let below = -stiffness;
@@ -390,7 +390,8 @@ fn unbalanced<L: Lane>(s: &mut Stepper) -> [OfLanes; 2] {
     let (now, before) = (L::splat(1.0 + alpha), L::splat(alpha));
     let zero = L::splat(0.0);
     let n_node = mesh.mass.len();
-    let (mut tau_above, mut beyond, mut size, mut dynamic) = (zero, zero, zero, zero);
+    let (mut tau_above, mut pull_above) = (zero, zero);
+    let (mut beyond, mut size, mut dynamic) = (zero, zero, zero);
     let (mut v, mut a) = moved::<L>(s, 0, [beta, gamma]);
     for i in 0..n_node {
         let row = i * L::N..(i + 1) * L::N;
@@ -399,7 +400,9 @@ fn unbalanced<L: Lane>(s: &mut Stepper) -> [OfLanes; 2] {
         if i > 0 {
             force = force + tau_above;
         }
+        let mut pull = zero;
         if let Some(e) = mesh.elements.get(i) {
+            pull = L::splat(e.coupling_kg_m2[0]) * (a_below - a);
             let strain = L::load(&s.gamma[row.clone()]) + L::load(&s.increments[row.clone()]);
             let viscous = L::splat(e.beta_s / e.height_m * e.elastic_pa[0]);
             let tau = L::load(&s.trial_tau[row.clone()]) + L::splat(e.container_pa) * strain + viscous * (below - v);
@@ -409,7 +412,9 @@ fn unbalanced<L: Lane>(s: &mut Stepper) -> [OfLanes; 2] {
             tau_above = tau;
         }
         force.store(&mut s.trial_force[row.clone()]);
-        let traction = L::splat(mesh.mass[i][0]) * (a + base) + now * force - before * L::load(&s.force[row.clone()]);
+        let inertia = L::splat(mesh.mass[i][0]) * (a + base) + (pull - pull_above);
+        pull_above = pull;
+        let traction = inertia + now * force - before * L::load(&s.force[row.clone()]);
         traction.store(&mut s.correction[row]);
         size = traction.abs().max(size);
         // Nothing where tractions are finite.
