@@ -87,6 +87,7 @@ impl EquivalentColumn {
             }
             stiffness.scaled(&relaxed, [modulus, 2.0 * damping * modulus]);
             stiffness.add(element.container_pa, element.beta_s * element.shear_modulus_pa, omega);
+            stiffness.add_inertia(element.inertia_kg_m, omega);
             let node = [self.mass[i], self.damping[i]];
             homogeneous.step(omega, node, 0.0, &stiffness, element.height_m);
             if is_damped {
@@ -212,6 +213,12 @@ impl Stiffness {
             *re += spring_pa;
             *im += dashpot_pa_s * w;
         }
+    }
+
+    /// What the accelerations at the two ends of an element differ by.
+    #[inline(always)]
+    fn add_inertia(&mut self, inertia_kg_m: f64, omega: &[f64]) {
+        self.re.iter_mut().zip(omega).for_each(|(re, w)| *re += inertia_kg_m * w * w);
     }
 }
 
