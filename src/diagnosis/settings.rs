@@ -11,13 +11,11 @@ pub struct DiagnoseSettings {
     pub band_hz: [f64; 2],
     /// Most effects named at once.
     pub max_effects: usize,
-    /// Largest time step of the replays that the diagnosis compares with, s: the error of a longer one looks like damping.
-    pub max_step_s: f64,
 }
 
 impl Default for DiagnoseSettings {
     fn default() -> Self {
-        Self { band_hz: [0.2, 9.5], max_effects: 5, max_step_s: 0.0025 }
+        Self { band_hz: [0.2, 9.5], max_effects: 5 }
     }
 }
 
@@ -33,7 +31,6 @@ impl DiagnoseSettings {
         check("band_hz", self.band_hz[0], " Hz", 0.01, 100.0);
         check("band_hz", self.band_hz[1], " Hz", self.band_hz[0] + 0.1, 100.0);
         check("max_effects", self.max_effects as f64, "", 1.0, 5.0);
-        check("max_step_s", self.max_step_s, " s", 1e-5, 0.1);
         problems
     }
 }

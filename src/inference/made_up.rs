@@ -6,7 +6,7 @@ use super::forward::Forward;
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
 use super::weights::Expected;
-use crate::column::{Analysis, BaseMotion, Column, Layer, Profile};
+use crate::column::{Analysis, BaseMotion, Column, Layer, MassMatrix, Profile};
 use crate::dataset::all_sensor_histories;
 use crate::diagnosis::{DiagnoseSettings, Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
 use crate::effects::{self, Array, Channels, Direction, Effect, Recording, Situation, Tolerances};
@@ -162,7 +162,8 @@ impl Replay for Nonlinear<'_> {
     fn replay(&self, tables: &[toml::Table]) -> Result<Motions> {
         let mut profile = Profile { elements: ELEMENTS, ..self.0.array.profile.clone() };
         effects::build_all(tables)?.iter().for_each(|e| e.edit(&mut profile, &Situation::default()));
-        let analysis = Analysis { output_step_s: DT_S, max_jump: f64::INFINITY, ..Analysis::default() };
+        let mass = MassMatrix::Matched;
+        let analysis = Analysis { output_step_s: DT_S, max_jump: f64::INFINITY, mass, ..Analysis::default() };
         let column = Column::new(&profile, &analysis)?;
         let bases: Vec<BaseMotion<'_>> =
             self.0.events.iter().map(|e| BaseMotion { dt_s: DT_S, acceleration_m_s2: &e.input }).collect();

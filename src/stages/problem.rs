@@ -5,6 +5,7 @@ use super::instrument::{Instrument, by_event};
 use super::records;
 use super::replay::{base_motions, replayed};
 use super::shake::{Response, shake};
+use crate::column::{Analysis, MassMatrix};
 use crate::diagnosis::{self, DiagnoseSettings, Event, Motions, NoiseSpectrum, Problem, Replay};
 use crate::effects::{Situation, Tolerances};
 use crate::error::{Error, Result};
@@ -18,10 +19,48 @@ use toml::Table;
 const LONGEST_S: f64 = 45.0;
 /// That lead, s.
 const LEAD_S: f64 = 3.0;
-/// Elements to the shortest wave where replays are compared with records: waves are then slower by 0.06 % at the most.
-const PER_WAVE: f64 = 54.0;
-/// The same where replays are compared with each other only.
-const ROUGHLY_PER_WAVE: f64 = 20.0;
+/// Where replays are compared with records: small waves are slower by 0.3 % at the most.
+const FINE: Resolution = Resolution { per_wave: 16.0, per_period: 20.0 };
+/// Where replays are compared with each other only: by 1.2 %.
+const ROUGH: Resolution = Resolution { per_wave: 8.0, per_period: 10.0 };
+
+/// Elements and steps of a replay.
+///
+/// ```text
+/// δc/c = (2π/n)²/24 − κ (2π/m)²,   κ = 0.095 of the HHT method with α = −0.05                 (1)
+/// ```
+///
+/// | symbol | what       | argument   |
+/// |--------|------------|------------|
+/// | n      | elements to the shortest wave that is compared | per_wave   |
+/// | m      | steps to its period                            | per_period |
+///
+/// with mass matched to steps as far as it can be, [`MassMatrix`].
+///
+/// Source: (1) as for [`MassMatrix`].
+#[derive(Clone, Copy)]
+struct Resolution {
+    per_wave: f64,
+    per_period: f64,
+}
+
+impl Resolution {
+    /// Steps of a replay up to `high_hz`: whole output steps, or parts of one. Of one length: where they are shortened goes by limits,
+    /// so that motions would jump by a little as parameters change.
+    fn stepped(self, declared: &Analysis, high_hz: f64) -> Analysis {
+        let step_s = 1.0 / (self.per_period * high_hz);
+        let whole = (step_s / declared.output_step_s).floor().max(1.0) * declared.output_step_s;
+        let max_step_s = step_s.min(whole);
+        Analysis {
+            max_step_s,
+            initial_step_s: max_step_s,
+            output_step_s: whole,
+            mass: MassMatrix::Matched,
+            max_jump: f64::INFINITY,
+            ..declared.clone()
+        }
+    }
+}
 
 /// Sections that [`Bench::of`] needs of the stage that asks.
 pub const READS: &[&str] = &[
@@ -82,11 +121,12 @@ impl<'a> Bench<'a> {
         settings: RecordSettings,
         events: Vec<(Split, Vec<Record>)>,
     ) -> Result<Self> {
-        let rough = roughened(sections.clone(), diagnose);
+        let high_hz = diagnose.band_hz[1];
         let declared = sections;
-        let sections = refined(declared.clone(), diagnose);
+        let rough = coarsened(&declared, ROUGH, high_hz);
+        let sections = coarsened(&declared, FINE, high_hz);
         // What is sought in soil is not to make up for what elements leave wrong.
-        let meshed = meshed(declared, PER_WAVE, diagnose.band_hz[1]);
+        let meshed = meshed(declared, FINE.per_wave, high_hz);
         let fine = ColumnSections { site: meshed.site, ..sections.clone() };
         let noise: Vec<_> =
             events.iter().map(|(_, r)| r.iter().map(|r| diagnosis::noise(r, settings.noise)).collect()).collect();
@@ -132,37 +172,15 @@ fn strongest(records: Vec<Record>) -> Vec<Record> {
     records.iter().map(|r| r.window(start_s, LONGEST_S)).collect()
 }
 
-/// `sections` with the steps of the diagnosis' replays, and no more elements than these need: what either leaves wrong would be looked
-/// for in the soil.
-///
-/// ```text
-/// δc/c = −(2π/n)²/24                                          (1)
-/// ```
-///
-/// n elements to a wave and masses lumped at the nodes.
-///
-/// Source: (1) Bathe (2014), Finite Element Procedures, 2nd ed., section 9.4.4.
-fn refined(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
-    let mut sections = coarsened(sections, PER_WAVE, settings.band_hz[1]);
-    let analysis = &mut sections.analysis;
-    analysis.max_step_s = analysis.max_step_s.min(settings.max_step_s);
-    analysis.initial_step_s = analysis.initial_step_s.min(analysis.max_step_s);
-    sections
-}
-
-/// `sections` with the elements of [`Replay::replay_roughly`] and the steps of the manifest, all of one
-/// length: where steps are shortened goes by limits, so that motions would jump by a little as parameters change.
-fn roughened(sections: ColumnSections, settings: &DiagnoseSettings) -> ColumnSections {
-    let mut sections = coarsened(sections, ROUGHLY_PER_WAVE, settings.band_hz[1]);
-    let analysis = &mut sections.analysis;
-    (analysis.initial_step_s, analysis.max_jump) = (analysis.max_step_s, f64::INFINITY);
-    sections
-}
-
-/// `sections` in `per_wave` elements to the shortest wave below `high_hz`, or as they are where they have fewer.
-fn coarsened(sections: ColumnSections, per_wave: f64, high_hz: f64) -> ColumnSections {
-    let found = meshed(sections.clone(), per_wave, high_hz);
-    if found.site.elements < sections.site.elements { found } else { sections }
+/// `sections` in no more elements than are needed, and with the steps of a replay.
+fn coarsened(sections: &ColumnSections, resolution: Resolution, high_hz: f64) -> ColumnSections {
+    let mut found = sections.clone();
+    let needed = meshed(sections.clone(), resolution.per_wave, high_hz);
+    if needed.site.elements < found.site.elements {
+        found.site = needed.site;
+    }
+    found.analysis = resolution.stepped(&sections.analysis, high_hz);
+    found
 }
 
 /// `sections` in `per_wave` elements to the shortest wave below `high_hz`, of one height but where those of each layer's own waves are
@@ -183,17 +201,17 @@ fn meshed(mut sections: ColumnSections, per_wave: f64, high_hz: f64) -> ColumnSe
     sections
 }
 
-/// Elements that waves need in a layer, at least two.
+/// Elements that waves need in a layer.
 fn needed(thickness_m: f64, per_wave: f64, high_hz: f64, vs_m_s: f64) -> usize {
-    ((thickness_m * per_wave * high_hz / vs_m_s).ceil() as usize).max(2)
+    ((thickness_m * per_wave * high_hz / vs_m_s).ceil() as usize).max(1)
 }
 
-/// Elements of one height that waves need in the slowest layer, or half as many again where they then end at every layer and sensor.
+/// Elements of one height that waves need in the slowest layer, or up to twice as many where they then end at every layer and sensor.
 /// Where they do not, an effect that cuts a layer also moves the others' elements, and its derivative is that of the mesh too.
 fn evenly(sections: &ColumnSections, per_wave: f64, high_hz: f64) -> usize {
     let site = &sections.site;
     let slowest_m_s = site.layer.iter().map(|l| l.vs_m_s).fold(f64::INFINITY, f64::min);
-    let least = needed(site.depth_m, per_wave, high_hz, slowest_m_s).max(2 * site.layer.len());
+    let least = needed(site.depth_m, per_wave, high_hz, slowest_m_s).max(site.layer.len());
     let mut depths_m: Vec<f64> = sections.sensors.output.iter().map(|s| s.depth_m).collect();
     depths_m.extend(site.layer.iter().scan(0.0, |depth_m, l| {
         *depth_m += l.thickness_m;
@@ -204,7 +222,7 @@ fn evenly(sections: &ColumnSections, per_wave: f64, high_hz: f64) -> usize {
         (above - above.round()).abs() < 1e-6
     };
     let ends_at_all = |n: &usize| depths_m.iter().all(|depth_m| ends_at(depth_m, *n));
-    (least..=least + least / 2).find(ends_at_all).unwrap_or(least)
+    (least..=2 * least).find(ends_at_all).unwrap_or(least)
 }
 
 fn problem(
@@ -296,18 +314,16 @@ mod tests {
             let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs").join(name);
             let site = Manifest::load(&path, &[]).expect("a sound site").site;
             let sections = site.column();
-            let settings = DiagnoseSettings::default();
-            let fine = refined(sections.clone(), &settings);
-            let rough = roughened(sections.clone(), &settings);
-            assert_eq!(rough.analysis.max_step_s, sections.analysis.max_step_s);
-            assert!(fine.analysis.max_step_s <= rough.analysis.max_step_s);
+            let high_hz = DiagnoseSettings::default().band_hz[1];
+            let [fine, rough] = [FINE, ROUGH].map(|resolution| coarsened(&sections, resolution, high_hz));
+            assert_eq!([&fine, &rough].map(|s| s.analysis.max_step_s), [0.005, 0.01]);
             [fine.site.elements, rough.site.elements]
         };
-        // 17 m and 20 elements to 110 m/s over 9.5 Hz are 30, but two to each of 17 layers.
-        assert_eq!(of("lotung.toml"), [85, 34]);
-        // 10 m to 130 m/s are 15, but a sensor is at 5 m and a layer ends at 4 m.
-        assert_eq!(of("smoke.toml"), [20, 20]);
-        // Thick rock below soil: 2 + 26 + 4 + 12 + 8, and 120 are declared.
-        assert_eq!(of("fksh11.toml"), [120, 52]);
+        // 17 m and 16 elements to 110 m/s over 9.5 Hz are 24, but 17 layers end at whole metres.
+        assert_eq!(of("lotung.toml"), [34, 17]);
+        // 10 m to 130 m/s are 12, but a sensor is at 5 m and a layer ends at 4 m.
+        assert_eq!(of("smoke.toml"), [20, 10]);
+        // Thick rock below soil: 2 + 21 + 3 + 10 + 7, and 120 are declared.
+        assert_eq!(of("fksh11.toml"), [43, 23]);
     }
 }

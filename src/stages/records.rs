@@ -26,7 +26,7 @@ impl Stage for Records {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -25,7 +25,7 @@ impl Stage for Replay {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -16,7 +16,7 @@ use std::path::Path;
 use toml::{Table, Value};
 
 /// Kind and version of the cache entries.
-const REPLAY: (&str, u32) = ("replayed", 10);
+const REPLAY: (&str, u32) = ("replayed", 11);
 const FILE: &str = "response_m_s2.f32";
 const CONTENTS: &str = "contents.toml";
 
@@ -65,8 +65,10 @@ pub fn shake(
         let own = &hands[hand];
         let base = |i: &usize| {
             let motion = &motions[*i];
-            // Between the samples of a coarser record lies a band-limited motion, not a straight line.
-            let dt_s = motion.dt_s.min(sections.analysis.output_step_s);
+            // Between the samples of a coarser record lies a band-limited motion, not a straight line; of a finer one only what steps
+            // can follow is to be seen.
+            let analysis = &sections.analysis;
+            let dt_s = motion.dt_s.max(analysis.max_step_s).min(analysis.output_step_s);
             (dt_s, resample_band_limited(motion.acceleration_m_s2, motion.dt_s, dt_s))
         };
         let bases: Vec<(f64, Vec<f64>)> = own.iter().map(base).collect();
