@@ -129,12 +129,15 @@ impl<'a, 'f> Ground<'a, 'f> {
         on_threads(tried.len(), again).into_iter().flatten().collect()
     }
 
-    /// The fit of a candidate to the equivalent-linear column, or, where that does something else, where it is, on the same scale.
+    /// The fit of a candidate to the equivalent-linear column where that is a step ahead for the column too; else where it is, on the same
+    /// scale.
     fn first_fit(&self, tried: &Tried<'_>) -> Option<Fit<'a>> {
-        if !tried.is_replayed {
-            return self.fitted(tried.instance, tried.at.clone());
-        }
         let (model, x) = self.with(tried.instance, tried.at.clone());
+        let cost = |x: &[f64]| self.column.cost_at(&model, x.to_vec()).unwrap_or(f64::INFINITY);
+        let fitted = if tried.is_replayed { None } else { self.fitted(tried.instance, tried.at.clone()) };
+        if let Some(fitted) = fitted.filter(|fitted| cost(&fitted.x) < cost(&x)) {
+            return Some(fitted);
+        }
         let mut fit = self.column.fit(Start::at(model, x), Stop::WHERE_IT_IS).ok()?;
         fit.cost += self.costs[0] - self.costs[1];
         Some(fit)
