@@ -83,7 +83,7 @@ impl Mesh {
             frequency_hz,
         };
         for dressed in stretches {
-            mesh.push((profile, analysis), &cuts[dressed.elements.clone()], dressed)?;
+            mesh.push(profile, analysis, &cuts[dressed.elements.clone()], dressed)?;
         }
         if let (true, Some(base), Some(layer)) = (is_compliant, mesh.dashpot.last_mut(), profile.layers.last()) {
             base[0] += layer.density_kg_m3 * layer.vs_m_s / profile.features.base_impedance_ratio;
@@ -92,7 +92,7 @@ impl Mesh {
     }
 
     /// Adds the elements of one law, with their masses and dampers.
-    fn push(&mut self, (profile, analysis): (&Profile, &Analysis), cuts: &[Cut], dressed: Dressed) -> Result<()> {
+    fn push(&mut self, profile: &Profile, analysis: &Analysis, cuts: &[Cut], dressed: Dressed) -> Result<()> {
         let Dressed { law, around, .. } = dressed;
         let points: Vec<Point> = cuts.iter().map(|cut| cut.point).collect();
         let damping: Vec<Damping> = points.iter().map(|point| law.damping(point)).collect();
