@@ -28,9 +28,9 @@ const PLACES: usize = 3;
 /// U = a U_h + u_g U_p,   a = u_g (1 − U_p(H)) / U_h(H),   or −u_g τ_p/τ_h below a compliant base's node   (3)
 /// ```
 ///
-/// m_i lumped, what is consistent in the mass being the last term of (2), K_i of [`Relaxation`], 1 for laws that have their small-strain damping in β and c alone, and
-/// where U_h starts with (1, 0) and no source and U_p with (0, 0) and the source of (1). Everything marched is a smooth
-/// function of frequency, resonances appear in (3) only; so the march needs a coarse grid.
+/// m_i lumped, what is consistent in the mass being the last term of (2), K_i of [`Relaxation`], 1 for laws that have their
+/// small-strain damping in β and c alone, and where U_h starts with (1, 0) and no source and U_p with (0, 0) and the source of
+/// (1). Everything marched is a smooth function of frequency, resonances appear in (3) only; so the march needs a coarse grid.
 ///
 /// Limits: one modulus and damping per element and motion, the effective strain's; no permanent strain.
 /// Check:  the tests below against the exact layered column and against the nonlinear column in weak motion.

@@ -203,7 +203,7 @@ fn meshed(mut sections: ColumnSections, per_wave: f64, high_hz: f64) -> ColumnSe
 
 /// Elements that waves need in a layer.
 fn needed(thickness_m: f64, per_wave: f64, high_hz: f64, vs_m_s: f64) -> usize {
-    ((thickness_m * per_wave * high_hz / vs_m_s).ceil() as usize).max(1)
+    (thickness_m * per_wave * high_hz / vs_m_s).ceil() as usize
 }
 
 /// Elements of one height that waves need in the slowest layer, or up to twice as many where they then end at every layer and sensor.

@@ -86,8 +86,8 @@ impl EquivalentColumn {
                 latest = Some(&element.relaxation);
             }
             stiffness.scaled(&relaxed, [modulus, 2.0 * damping * modulus]);
-            stiffness.add(element.container_pa, element.beta_s * element.shear_modulus_pa, omega);
-            stiffness.add_inertia(element.inertia_kg_m, omega);
+            let dashpot_pa_s = element.beta_s * element.shear_modulus_pa;
+            stiffness.add(element.container_pa, dashpot_pa_s, element.inertia_kg_m, omega);
             let node = [self.mass[i], self.damping[i]];
             homogeneous.step(omega, node, 0.0, &stiffness, element.height_m);
             if is_damped {
@@ -206,19 +206,13 @@ impl Stiffness {
         }
     }
 
-    /// A spring and a dashpot in parallel.
+    /// A spring, a dashpot and the consistent mass of (2) in parallel.
     #[inline(always)]
-    fn add(&mut self, spring_pa: f64, dashpot_pa_s: f64, omega: &[f64]) {
+    fn add(&mut self, spring_pa: f64, dashpot_pa_s: f64, inertia_kg_m: f64, omega: &[f64]) {
         for ((re, im), w) in self.re.iter_mut().zip(&mut self.im).zip(omega) {
-            *re += spring_pa;
+            *re = *re + spring_pa + inertia_kg_m * w * w;
             *im += dashpot_pa_s * w;
         }
-    }
-
-    /// What the accelerations at the two ends of an element differ by.
-    #[inline(always)]
-    fn add_inertia(&mut self, inertia_kg_m: f64, omega: &[f64]) {
-        self.re.iter_mut().zip(omega).for_each(|(re, w)| *re += inertia_kg_m * w * w);
     }
 }
 
