@@ -2,15 +2,15 @@
 //!
 //! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node is a
 //! direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a small
-//! linear problem ([`Competition::expand`]); what may be strong is also tried from declared values ([`scan`]). The best of them are
-//! fitted in few events, by the equivalent-linear column as far as a replay bears it out, and then in all. The search of a model goes on
-//! to its end where it promises to count ([`Competition::settle_close`]): most models are far behind wherever theirs would end. What could
-//! be taken for the effects of the model that leads is fitted in their place ([`rivals`]), at once or, where something is lacking in all
-//! models, when nothing is left to look around; where declared values are so far off that there may be other modes, it is fitted from
-//! elsewhere ([`modes`]). The competition goes on around the best model, around it less each of its effects, and around what is nearly as
-//! probable, or, where something is lacking, around the best of each number of effects, the fewest first ([`agenda`]), until that changes
-//! nothing. What the records say of the field and of the column's error is read off beside the model that leaves least, under each
-//! labelling of the channels, and the models under it are compared by that ([`expectation`]).
+//! linear problem ([`Competition::expand`]), whose best are fitted in few events, by the equivalent-linear column as far as a replay bears
+//! it out. What may be strong is also fitted from declared values, by replays alone ([`scan`]). The best of all are then fitted in all
+//! events. The search of a model goes on to its end where it promises to count ([`Competition::settle_close`]): most models are far behind
+//! wherever theirs would end. What could be taken for the effects of the model that leads is fitted in their place ([`rivals`]), at once
+//! or, where something is lacking in all models, when nothing is left to look around; where declared values are so far off that there may
+//! be other modes, it is fitted from elsewhere ([`modes`]). The competition goes on around the best model, around it less each of its
+//! effects, and around what is nearly as probable, or, where something is lacking, around the best of each number of effects, the fewest
+//! first ([`agenda`]), until that changes nothing. What the records say of the field and of the column's error is read off beside the model
+//! that leaves least, under each labelling of the channels, and the models under it are compared by that ([`expectation`]).
 
 mod agenda;
 mod expansion;
@@ -44,7 +44,9 @@ const HEATS: usize = 4;
 const FINALS: usize = 6;
 /// Steps of the first fits.
 const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
-/// As many of these from what is declared, where tolerances have to find back from where they stood in for an effect.
+/// The same from what is declared, where slopes of the equivalent-linear column need not hold.
+const FAR_HEAT: Stop = Stop { steps: 8, ..Stop::CLOSE };
+/// As many of these, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEATS: usize = 3;
 /// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
 const FAR: f64 = 30.0;

@@ -15,7 +15,7 @@ use crate::error::Result;
 use crate::metrics::{normal_probability, scaled_tail};
 use faer::Mat;
 use rayon::prelude::*;
-pub use search::{Replays, Stop, is_borne_out, least_borne_out};
+pub use search::{Replays, Stop, is_borne_out};
 use slopes::Axes;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};

@@ -1,7 +1,6 @@
 //! Fits from elsewhere: from where other models ended, and, where what is declared may be so far off that waves arrive by a part of their
 //! period earlier or later, from draws of the prior: the posterior then has several modes, and the fit that a start leads to is one of many.
 
-use super::scan::Ground;
 use super::{Competition, FAR, coordinates, has_set, is_same_set};
 use crate::error::Result;
 use crate::inference::parameters::Model;
@@ -42,9 +41,10 @@ impl<'a> Competition<'a> {
         self.modes.clear();
         let by = self.few.fitter(&self.fitter);
         let own = self.few.of(&by, &leading)?;
-        let Some(ground) = Ground::declared(&by, own.model.clone(), own.x.clone()) else { return Ok(false) };
+        let declared = [vec![0.0; own.model.declared.len()], own.x[own.model.declared.len()..].to_vec()].concat();
+        let Some(near) = by.by_surrogate(&own.model, &declared) else { return Ok(false) };
         let starts = draws(&own.model, &own.x);
-        let fitted = |i: usize| ground.fitted_from(starts[i].clone());
+        let fitted = |i: usize| near.fit(Start::at(own.model.clone(), starts[i].clone()), Stop::ON_THE_WAY).ok();
         let mut found: Vec<Fit<'a>> = on_threads(starts.len(), fitted).into_iter().flatten().collect();
         self.best_first(&mut found);
         let mut found = self.replayed(&by, &found.iter().take(REPLAYED).map(Start::beside).collect::<Vec<_>>());

@@ -5,7 +5,7 @@ use super::{Competition, FAR, FINALS, has_set, is_same_set};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::inference::parameters::Model;
-use crate::inference::posterior::{Fit, Fitter, Start, Stop, least_borne_out};
+use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::progress::Progress;
 
 impl<'a> Competition<'a> {
@@ -50,22 +50,8 @@ impl<'a> Competition<'a> {
             // Tolerances hold beside a rival as they do beside the effect, unless they stand in for what it would explain.
             let (model, x) = without(base, index);
             let grounds = [Ground::declared(by, model.clone(), x.clone()), Ground::new(by, model, x)];
-            let mut found: Vec<Fit<'a>> = Vec::new();
-            for ground in grounds.into_iter().flatten() {
-                let there = ground.best_of_ladder(own).and_then(|(at, _)| ground.fitted(own, at));
-                let Some(highest) = there.map(|there| self.log_posterior(&there)) else { continue };
-                let all = self.scanned(&ground, self.instances.iter().filter(is_meant));
-                let is_close = |fit: &Fit<'a>| least_borne_out(highest - self.log_posterior(fit)) < FAR;
-                found.extend(all.into_iter().filter(is_close));
-            }
-            self.best_first(&mut found);
-            let mut best: Vec<&Fit<'a>> = Vec::new();
-            for fit in &found {
-                if !best.iter().any(|known| known.model.effects.last() == fit.model.effects.last()) {
-                    best.push(fit);
-                }
-            }
-            let mut starts: Vec<Start<'a>> = best.into_iter().map(Start::beside).collect();
+            let of_ground = |ground: Ground<'a, '_>| ground.starts(self.instances.iter().filter(is_meant));
+            let mut starts: Vec<Start<'a>> = grounds.into_iter().flat_map(of_ground).collect();
             let is_new =
                 |next: &Start<'a>| !starts.iter().any(|known| is_same_set(&known.model.effects, &next.model.effects));
             let next: Vec<Start<'a>> =

@@ -79,11 +79,6 @@ pub fn is_borne_out(gained: f64, foretold: f64) -> bool {
     (TRUSTED[0]..TRUSTED[1]).contains(&(gained / foretold))
 }
 
-/// Least that what was `foretold` comes to where it is borne out.
-pub fn least_borne_out(foretold: f64) -> f64 {
-    TRUSTED[0] * foretold
-}
-
 /// A search on its way.
 struct Search<'a> {
     model: Model<'a>,
@@ -110,13 +105,10 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed at the start.
     pub fn fit(&self, start: Start<'a>, stop: Stop) -> Result<Fit<'a>> {
-        let is_settled = if stop.steps == 0 { start.is_settled } else { stop.replays != Replays::Nowhere };
+        let was_settled = stop.steps == 0 && start.is_settled;
         let mut search = self.begun(start)?;
-        for _ in 0..stop.steps {
-            if self.has_ended(&mut search, stop) {
-                break;
-            }
-        }
+        let has_ended = (0..stop.steps).any(|_| self.has_ended(&mut search, stop)) || stop.steps == STEPS;
+        let is_settled = was_settled || (has_ended && stop.replays != Replays::Nowhere);
         let g = self.normal(&search.slopes, &search.at.rows);
         let cost = self.cost(&search.model, &search.at);
         let Search { model, at, slopes, axes, is_fresh, was_replayed, .. } = search;
