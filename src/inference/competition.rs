@@ -2,8 +2,8 @@
 //!
 //! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node is a
 //! direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a small
-//! linear problem ([`Competition::expand`]), whose best are fitted in few events, by the equivalent-linear column as far as a replay bears
-//! it out. What may be strong is also fitted from declared values, by replays alone ([`scan`]). The best of all are then fitted in all
+//! linear problem ([`Competition::expand`]), whose best are fitted in few events.
+//! What may be strong is also fitted from declared values ([`scan`]). The best of all are then fitted in all
 //! events. The search of a model goes on to its end where it promises to count ([`Competition::settle_close`]): most models are far behind
 //! wherever theirs would end. What could be taken for the effects of the model that leads is fitted in their place ([`rivals`]), at once
 //! or, where something is lacking in all models, when nothing is left to look around; where declared values are so far off that there may
@@ -27,7 +27,7 @@ mod scan;
 use super::few::Few;
 use super::forward::Prediction;
 use super::parameters::Model;
-use super::posterior::{Fit, Fitter, Replays, Start, Stop};
+use super::posterior::{Fit, Fitter, Start, Stop};
 use super::recalibration::recalibrated;
 use super::weights::{Expected, Rows};
 use crate::effects::{self, Instance};
@@ -42,10 +42,8 @@ use std::sync::Arc;
 /// Single effects and pairs that are fitted around one model in few events, and how many of these in all.
 const HEATS: usize = 4;
 const FINALS: usize = 6;
-/// Steps of the first fits.
-const HEAT: Stop = Stop { steps: 8, replays: Replays::Nowhere, ..Stop::CLOSE };
-/// The same from what is declared, where slopes of the equivalent-linear column need not hold.
-const FAR_HEAT: Stop = Stop { steps: 8, ..Stop::CLOSE };
+/// First fits.
+const HEAT: Stop = Stop::ON_THE_WAY;
 /// As many of these, where tolerances have to find back from where they stood in for an effect.
 const FAR_HEATS: usize = 3;
 /// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
@@ -312,7 +310,7 @@ impl<'a> Competition<'a> {
         let x = coordinates(best, effects, |i| effects[i].start());
         let model = Model { declared: best.model.declared, effects: effects.to_vec() };
         let slopes = Self::slopes_of(best, &model);
-        Start::at(model, x).carrying(slopes, best)
+        Start::at(model, x).carrying(slopes)
     }
 
     /// Slopes of `fit` by the coordinates of another model, as far as the two share them.

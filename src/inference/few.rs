@@ -52,7 +52,7 @@ impl<'a> Few<'a> {
     pub fn of(&self, by: &Fitter<'a>, fit: &Fit<'a>) -> Result<Fit<'a>> {
         let model = Model { declared: self.declared, effects: fit.model.effects.clone() };
         let slopes = fit.slopes.iter().map(|s| Some(Arc::new(self.forward.rows_of(s))));
-        by.fit(Start::at(model, fit.x.clone()).carrying(slopes, fit), Stop::WHERE_IT_IS)
+        by.fit(Start::at(model, fit.x.clone()).carrying(slopes), Stop::WHERE_IT_IS)
     }
 }
 

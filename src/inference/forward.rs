@@ -8,7 +8,6 @@
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
 use super::coherence::coherent;
-use super::equivalent::Equivalent;
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
 use crate::effects::{self, Channel, Effect, Operator, Place};
@@ -80,7 +79,6 @@ pub struct Forward<'a> {
     pub(super) kept: Vec<usize>,
     pub(super) stands_for: Vec<f64>,
     replay: &'a dyn Replay,
-    pub(super) equivalent: Arc<Equivalent>,
     names: Vec<String>,
     /// Motions by what shakes the column; whoever asks for what is being replayed waits for it.
     known: Mutex<HashMap<String, Arc<Mutex<Option<Replayed>>>>>,
@@ -95,11 +93,10 @@ impl<'a> Forward<'a> {
     /// When an event is unusable.
     pub fn new(problem: &'a Problem, replay: &'a dyn Replay, settings: &DiagnoseSettings) -> Result<Self> {
         let groups = spectra::groups(problem, settings)?;
-        let high_hz = groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
-        Ok(Self::of(problem, replay, Arc::new(Equivalent::new(problem, high_hz)), groups))
+        Ok(Self::of(problem, replay, groups))
     }
 
-    fn of(problem: &'a Problem, replay: &'a dyn Replay, equivalent: Arc<Equivalent>, groups: Vec<Group>) -> Self {
+    fn of(problem: &'a Problem, replay: &'a dyn Replay, groups: Vec<Group>) -> Self {
         let of_group = |(group, g): (usize, &Group)| (0..g.records.len()).map(move |record| At { group, record });
         let records: Vec<At> = groups.iter().enumerate().flat_map(of_group).collect();
         Self {
@@ -109,7 +106,6 @@ impl<'a> Forward<'a> {
             records,
             groups,
             replay,
-            equivalent,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
             anchor: Mutex::default(),
@@ -119,7 +115,7 @@ impl<'a> Forward<'a> {
 
     /// The same column and sensors with these groups, nothing replayed yet.
     pub(super) fn without_replays(&self, groups: Vec<Group>) -> Self {
-        Self::of(self.problem, self.replay, self.equivalent.clone(), groups)
+        Self::of(self.problem, self.replay, groups)
     }
 
     /// Records that its own stand for.

@@ -3,9 +3,9 @@
 //! Declared values that may be off within their tolerances and effects of a catalogue are parameters with priors (`parameters`). What is
 //! expected of residuals (noise, a field that is partly incoherent, a column that is not exact) is read off the records beside the model
 //! that leaves least (`spread`, `coherence`) and is one for all models (`weights`), so that a fit is nonlinear least squares (`posterior`)
-//! and models compete by their evidence (`competition`). Values are replays of the column (`forward`); slopes are those of the equivalent-linear column
-//! (`equivalent`) until a step does something else than they foretold, and replays where a fit ends. What other programs make of the same
-//! column is no effect (`convention`). The answer says what is named and what remains (`answer`).
+//! and models compete by their evidence (`competition`). Values and slopes are those of replays of the column (`forward`): what candidates
+//! do is looked at in few events (`few`). What other programs make of the same column is no effect (`convention`). The answer says what is
+//! named and what remains (`answer`).
 //!
 //! ```text
 //! records ─► spread (coherence, level) ─► weights ─► fits of models ─► evidence ─► best model ─► spread …  until it stands still
@@ -19,7 +19,6 @@ mod convention;
 mod correlation;
 mod covariance;
 mod depth_modes;
-mod equivalent;
 mod few;
 mod forward;
 mod intervals;

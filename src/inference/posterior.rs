@@ -5,7 +5,6 @@ mod slopes;
 
 use super::algebra::{Quadratic, inverse, ln_determinant, solved};
 use super::convention;
-use super::equivalent::Neighbourhood;
 use super::forward::{Forward, Prediction, channels, lock};
 use super::parameters::Model;
 use super::spread::{Spread, band_hz};
@@ -15,7 +14,7 @@ use crate::error::Result;
 use crate::metrics::{normal_probability, scaled_tail};
 use faer::Mat;
 use rayon::prelude::*;
-pub use search::{Replays, Stop, is_borne_out};
+pub use search::Stop;
 use slopes::Axes;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
@@ -42,8 +41,6 @@ pub struct Fit<'a> {
     pub g: Mat<f64>,
     /// Along which axes the slopes were taken here; none where they were carried here.
     pub axes: Option<Axes>,
-    /// Whether they were replayed, here or where they were carried from.
-    pub was_replayed: bool,
     /// Whether its search came to its end; otherwise there may be more to gain than models can be compared by.
     pub is_settled: bool,
 }
@@ -57,8 +54,6 @@ pub struct Fitter<'a> {
     weights: Mutex<HashMap<Vec<usize>, Arc<Weights>>>,
     /// The highest frequency that counts, Hz.
     high_hz: f64,
-    /// Where motions are from instead of replays.
-    surrogate: Option<Arc<Neighbourhood<'a, 'a>>>,
 }
 
 /// Where a fit starts.
@@ -72,8 +67,6 @@ pub struct Start<'a> {
     pub slopes: Vec<Option<Arc<Rows>>>,
     /// Axes along which slopes at `x` are to be taken.
     pub axes: Option<Axes>,
-    /// Whether known slopes were replayed.
-    pub was_replayed: bool,
     /// Whether that is where a search came to its end.
     pub is_settled: bool,
 }
@@ -81,23 +74,18 @@ pub struct Start<'a> {
 impl<'a> Start<'a> {
     /// From `x`.
     pub fn at(model: Model<'a>, x: Vec<f64>) -> Self {
-        Self { model, x, slopes: Vec::new(), axes: None, was_replayed: false, is_settled: false }
+        Self { model, x, slopes: Vec::new(), axes: None, is_settled: false }
     }
 
-    /// The same with `slopes` carried from `found`.
-    pub fn carrying(self, slopes: impl IntoIterator<Item = Option<Arc<Rows>>>, found: &Fit<'_>) -> Self {
-        Self { slopes: slopes.into_iter().collect(), was_replayed: found.was_replayed, ..self }
-    }
-
-    /// From where the fit `found` to something else ended.
-    pub fn beside(found: &Fit<'a>) -> Self {
-        Self::at(found.model.clone(), found.x.clone())
+    /// The same with `slopes` from elsewhere.
+    pub fn carrying(self, slopes: impl IntoIterator<Item = Option<Arc<Rows>>>) -> Self {
+        Self { slopes: slopes.into_iter().collect(), ..self }
     }
 
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
-        let Fit { model, x, slopes, axes, was_replayed, is_settled, .. } = found;
-        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes, was_replayed, is_settled }
+        let Fit { model, x, slopes, axes, is_settled, .. } = found;
+        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes, is_settled }
     }
 }
 
@@ -117,7 +105,7 @@ impl<'a> Fitter<'a> {
     }
 
     fn of(forward: &'a Forward<'a>, expected: HashMap<Vec<usize>, Expected>) -> Self {
-        Self { forward, expected, weights: Mutex::default(), high_hz: f64::INFINITY, surrogate: None }
+        Self { forward, expected, weights: Mutex::default(), high_hz: f64::INFINITY }
     }
 
     /// The same with this for the channels of its reference.
@@ -145,7 +133,7 @@ impl<'a> Fitter<'a> {
         let converted = |slope: &Arc<Rows>| own.converted(slope, &other, &found.prediction).map(Arc::new);
         let start = match found.slopes.iter().map(converted).collect::<Option<Vec<_>>>() {
             Some(slopes) => Start::from(Fit { slopes, ..found }),
-            None => Start { slopes: Vec::new(), was_replayed: false, ..Start::from(found) },
+            None => Start { slopes: Vec::new(), ..Start::from(found) },
         };
         Start { is_settled: false, ..start }
     }
@@ -155,18 +143,10 @@ impl<'a> Fitter<'a> {
     /// # Errors
     /// When the column cannot be replayed.
     pub fn predict(&self, model: &Model<'a>, x: &[f64]) -> Result<Arc<Prediction>> {
-        let prediction = match &self.surrogate {
-            Some(near) => self.predict_by(near, model, x)?,
-            None => Self::with_conventions(self.forward.predict(&model.tables(x))?, model, x),
-        };
-        Ok(Arc::new(prediction))
-    }
-
-    /// A prediction of the column alone with what the conventions of `model` at `x` add to it, and what it says of another origin.
-    fn with_conventions(mut prediction: Prediction, model: &Model<'_>, x: &[f64]) -> Prediction {
+        let mut prediction = self.forward.predict(&model.tables(x))?;
         convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
         prediction.iter_mut().for_each(|p| p.added_share = x[model.declared.added()]);
-        prediction
+        Ok(Arc::new(prediction))
     }
 
     /// The model of `base` with an effect besides, whose coordinates are `at`, and all its coordinates.
@@ -236,58 +216,10 @@ impl<'a> Fitter<'a> {
         let [_, high_hz] = band_hz(self.forward);
         let mut below = self.below(FIRST_MODES * self.forward.problem.array.profile.fundamental_hz());
         while below.high_hz < high_hz {
-            start = match below.leap(&start) {
-                Some(there) => there,
-                None => Start::from(below.fit(start, Stop::ON_THE_WAY)?),
-            };
+            start = Start::from(below.fit(start, Stop::ON_THE_WAY)?);
             below = below.below(2.0 * below.high_hz);
         }
-        let there = self.leap(&start);
-        self.fit(there.unwrap_or(start), stop)
-    }
-
-    /// The same with motions from the equivalent-linear column near `model` at `x` instead of replays, where there is one.
-    pub fn by_surrogate(&self, model: &Model<'a>, x: &[f64]) -> Option<Self> {
-        Some(Self { surrogate: Some(Arc::new(self.near(model, x)?)), ..self.below(self.high_hz) })
-    }
-
-    /// What motions are near by, where they are from there instead of replays.
-    pub fn neighbourhood(&self) -> Option<&Neighbourhood<'a, 'a>> {
-        self.surrogate.as_deref()
-    }
-
-    /// Where a fit to the equivalent-linear column beside `start` ends, if a replay there gains what that foretold.
-    fn leap(&self, start: &Start<'a>) -> Option<Start<'a>> {
-        let Start { model, x, .. } = start;
-        let by = self.by_surrogate(model, x)?;
-        let at = by.point(model, x.clone()).ok()?;
-        let cost = by.cost(model, &at);
-        let found = self.foretold(&by, cost, Start::at(model.clone(), x.clone()))?;
-        Some(Start::at(found.model, found.x))
-    }
-
-    /// Where a fit from `start` by the equivalent-linear column `near` some point of this `cost` ends, and its slopes there, if a replay
-    /// there gains what that foretold.
-    pub fn foretold(&self, near: &Self, cost: f64, start: Start<'a>) -> Option<Start<'a>> {
-        let at = near.point(&start.model, start.x.clone()).ok()?;
-        if !near.tells(&start.model, &at) {
-            return None;
-        }
-        let found = near.fit(start, Stop::ON_THE_WAY).ok()?;
-        let foretold = cost - found.cost;
-        let gained = cost - self.cost_at(&found.model, found.x.clone()).ok()?;
-        let is_expected = is_borne_out(gained, foretold) || (gained - foretold).abs() < Stop::ON_THE_WAY.gain;
-        is_expected.then(|| Start { axes: None, ..Start::from(found) })
-    }
-
-    /// Whether every effect of `model` changes something at `at`.
-    fn tells(&self, model: &Model<'a>, at: &Point) -> bool {
-        let strengths = |e: usize| {
-            let free = model.effects[e].free.iter().enumerate().filter(|(_, free)| free.zero.is_some());
-            free.map(move |(k, _)| model.start(e) + k)
-        };
-        let is_told = |i: usize| !model.is_replayed(i) || self.slope(model, at, i).is_some_and(|s| square(&s) > 0.0);
-        (0..model.effects.len()).flat_map(strengths).all(is_told)
+        self.fit(start, stop)
     }
 
     fn below(&self, high_hz: f64) -> Self {

@@ -20,17 +20,15 @@ impl<'a> Competition<'a> {
         let by = self.few.fitter(&self.fitter);
         let start = self.few.of(&by, &base)?;
         let is_open = start.model.effects.len() < self.max_effects;
-        let near = by.by_surrogate(&start.model, &start.x);
-        let directions = self.directions(&by, near.as_ref(), &start);
+        let directions = self.directions(&by, &start);
         let linear = Linear::new(&by, &start, &directions).filter(|_| !directions.is_empty());
         if let Some(null) = linear.as_ref().and_then(|linear| Null::of(linear, &self.ln_priors(linear))) {
             self.nulls.retain(|(set, _)| !is_same_set(set, &effects));
             self.nulls.push((effects.clone(), null));
         }
         self.expanded.push(effects);
-        let beside = Beside { by: &by, near: near.as_ref(), base: &start };
-        let mut heats = self.heats(&beside, linear.as_ref());
-        heats.extend(self.unnamed(&beside));
+        let mut heats = self.heats(&by, &start, linear.as_ref());
+        heats.extend(self.unnamed(&by, &start));
         if is_open && base.is_strained() {
             heats.extend(self.strong(&by, &start));
         }
@@ -59,32 +57,31 @@ impl<'a> Competition<'a> {
             let is_near = Self::is_near(&base, &heat);
             let slopes = Self::slopes_of(&base, &model);
             let start = Start::at(model, heat.x);
-            self.begin(if is_near { start.carrying(slopes, &base) } else { start }, stop);
+            self.begin(if is_near { start.carrying(slopes) } else { start }, stop);
         }
         self.settle_close(base.labels(), progress)
     }
 
     /// First fits of the most promising candidates by the linear problem there.
-    fn heats(&self, beside: &Beside<'a, '_>, linear: Option<&Linear<'_, 'a>>) -> Vec<Fit<'a>> {
-        let mut proposals = self.proposals(beside.by, beside.base, linear);
+    fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, linear: Option<&Linear<'_, 'a>>) -> Vec<Fit<'a>> {
+        let mut proposals = self.proposals(by, base, linear);
         proposals.sort_by(|a, b| b.log_posterior.total_cmp(&a.log_posterior));
         // A pair that holds what a single one holds is always as good before it is fitted. Where tolerances stand in for something, what
         // comes on top of a pair is sought when one of the two is in the model.
         let (singles, pairs): (Vec<_>, Vec<_>) = proposals.into_iter().partition(|p| p.parts.len() == 1);
         let of = |p: &Proposal| -> Vec<Instance> { p.parts.iter().map(|part| part.instance.clone()).collect() };
-        let pairs = if beside.base.is_strained() { Vec::new() } else { distinct(pairs, of) };
+        let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs, of) };
         let all: Vec<Proposal> = distinct(singles, of).into_iter().chain(pairs).collect();
-        let fitted = |i: usize| beside.first_fit(&|by| Self::started(by, beside.base, &all[i]));
+        let fitted = |i: usize| by.fit(Self::started(by, base, &all[i]), HEAT).ok();
         on_threads(all.len(), fitted).into_iter().flatten().collect()
     }
 
     /// The best first fit of what has no name: a response of one sensor, or of each.
-    fn unnamed(&self, beside: &Beside<'a, '_>) -> Option<Fit<'a>> {
-        let base = beside.base;
+    fn unnamed(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Option<Fit<'a>> {
         if !base.model.is_named() {
             return None;
         }
-        let all = effects::unnamed(&beside.by.forward.problem.array);
+        let all = effects::unnamed(&by.forward.problem.array);
         let alone = all.iter().map(|response| vec![response.clone()]);
         let together = Some(all.clone()).filter(|all| all.len() > 1);
         let all: Vec<Vec<Instance>> = alone.chain(together).collect();
@@ -93,8 +90,7 @@ impl<'a> Competition<'a> {
             let model = Model { declared: base.model.declared, effects };
             let mut x = base.x.clone();
             x.resize(model.len(), 0.0);
-            let start = Start::at(model, x).carrying(base.slopes.iter().cloned().map(Some), base);
-            beside.first_fit(&|_| start.clone())
+            by.fit(Start::at(model, x).carrying(base.slopes.iter().cloned().map(Some)), HEAT).ok()
         };
         let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.promise(a).total_cmp(&self.promise(b)))
@@ -104,25 +100,5 @@ impl<'a> Competition<'a> {
     pub(super) fn is_near(base: &Fit<'_>, heat: &Fit<'_>) -> bool {
         let declared = base.model.declared.len();
         base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
-    }
-}
-
-/// A model that candidates are added to.
-struct Beside<'a, 'c> {
-    by: &'c Fitter<'a>,
-    /// The equivalent-linear column there.
-    near: Option<&'c Fitter<'a>>,
-    base: &'c Fit<'a>,
-}
-
-impl<'a> Beside<'a, '_> {
-    /// The first fit of a model with more effects from where it would start: by the equivalent-linear column as far as a replay of where
-    /// that ends bears it out.
-    fn first_fit(&self, start: &dyn Fn(&Fitter<'a>) -> Start<'a>) -> Option<Fit<'a>> {
-        let foretold = self.near.and_then(|near| {
-            let Start { model, x, .. } = start(near);
-            self.by.foretold(near, self.base.cost, Start::at(model, x))
-        });
-        self.by.fit(foretold.unwrap_or_else(|| start(self.by)), HEAT).ok()
     }
 }

@@ -6,7 +6,7 @@ use super::{Competition, FAR, TOLD, is_same_set};
 use crate::effects::Instance;
 use crate::error::Result;
 use crate::inference::forward::Forward;
-use crate::inference::posterior::{Fit, Fitter, Replays, Start, Stop, combined, square};
+use crate::inference::posterior::{Fit, Fitter, Start, Stop, combined, square};
 use crate::inference::weights::Expected;
 use crate::progress::Progress;
 
@@ -30,7 +30,7 @@ impl<'a> Competition<'a> {
             let Some(index) = self.known(&best.model.effects) else { break };
             let there = self.fits[index].clone();
             let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
-            if 0.5 * square(&moved) < TOLD && (there.axes.is_some() || stop.replays != Replays::AtTheEnd) {
+            if 0.5 * square(&moved) < TOLD && (there.axes.is_some() || !stop.is_exact) {
                 break;
             }
             self.fits[index] = self.fitter.fit(Start::from(there), stop)?;

@@ -81,8 +81,7 @@ fn in_array(check: impl Fn(&Array<'_, '_>)) {
     let problem = problem(&Truth { events: 2, ..Truth::default() });
     in_competition(&problem, &Uniform(&problem), as_declared, |competition| {
         let fit = &competition.fits[0];
-        let near = competition.fitter.by_surrogate(&fit.model, &fit.x);
-        let directions = competition.directions(&competition.fitter, near.as_ref(), fit);
+        let directions = competition.directions(&competition.fitter, fit);
         let linear = Linear::new(&competition.fitter, fit, &directions).unwrap();
         let mut bounds = linear.density.bounds.clone();
         // No draw comes to an end of what is declared: there densities are not normal.

@@ -7,7 +7,6 @@ use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Start, Stop};
 use crate::inference::spread::band_hz;
 use crate::numerics::random;
-use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 use rand_distr::{Distribution, StandardNormal};
 
@@ -16,10 +15,8 @@ use rand_distr::{Distribution, StandardNormal};
 ///
 /// Source: Bunks et al. (1995), doi 10.1190/1.1443880: half a period, here for the farthest that is to be expected, two deviations.
 const ONE_MODE: f64 = 0.25;
-/// Draws from the prior of what is declared from which fits to the equivalent-linear column start, how many of these are replayed, and how
-/// many of them are fitted to all events.
+/// Draws from the prior of what is declared from which fits start, and how many of these are fitted to all events.
 const DRAWS: usize = 16;
-const REPLAYED: usize = 4;
 const FITTED: usize = 2;
 
 impl<'a> Competition<'a> {
@@ -30,8 +27,7 @@ impl<'a> Competition<'a> {
         deviation_s * band_hz(self.fitter.forward)[1] > ONE_MODE
     }
 
-    /// Fits the most probable model under `labels` from draws of what is declared, by the equivalent-linear column, in few events and in
-    /// all, and keeps where these ended. Whether one does better than where it was.
+    /// Fits the most probable model under `labels` from draws of what is declared, in few events and in all, and keeps where these ended. Whether one does better than where it was.
     pub(super) fn explore(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
         let leading = self.leading(labels).clone();
         if !self.has_modes() || has_set(&self.explored, &leading.model.effects) {
@@ -41,13 +37,8 @@ impl<'a> Competition<'a> {
         self.modes.clear();
         let by = self.few.fitter(&self.fitter);
         let own = self.few.of(&by, &leading)?;
-        let declared = [vec![0.0; own.model.declared.len()], own.x[own.model.declared.len()..].to_vec()].concat();
-        let Some(near) = by.by_surrogate(&own.model, &declared) else { return Ok(false) };
-        let starts = draws(&own.model, &own.x);
-        let fitted = |i: usize| near.fit(Start::at(own.model.clone(), starts[i].clone()), Stop::ON_THE_WAY).ok();
-        let mut found: Vec<Fit<'a>> = on_threads(starts.len(), fitted).into_iter().flatten().collect();
-        self.best_first(&mut found);
-        let mut found = self.replayed(&by, &found.iter().take(REPLAYED).map(Start::beside).collect::<Vec<_>>());
+        let starts = draws(&own.model, &own.x).into_iter().map(|x| Start { x, axes: None, ..Start::from(own.clone()) });
+        let mut found = self.replayed(&by, &starts.collect::<Vec<_>>());
         self.most_promising_first(&mut found);
         let least = self.log_posterior(&own) - FAR;
         found.retain(|fit| self.promise(fit) > least);

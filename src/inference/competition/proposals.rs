@@ -3,11 +3,9 @@
 use super::{Competition, HEATS, TOLD};
 use crate::effects::Instance;
 use crate::inference::algebra::{self, Quadratic};
-use crate::inference::equivalent::Neighbourhood;
 use crate::inference::parameters::prior_of;
 use crate::inference::posterior::{Fit, Fitter, Start, combined, dot, gradient, square};
 use crate::inference::weights::{Rows, lines_hz};
-use crate::metrics::median;
 use crate::numerics::threads::on_threads;
 use faer::Mat;
 use std::collections::BTreeMap;
@@ -29,9 +27,6 @@ const LINE_STEPS: i32 = 4;
 const DELAY_STEPS: i32 = 5;
 /// Farthest along a direction, in that of its node.
 const FARTHEST: f64 = 1.4;
-/// Share of what candidates do that has to be along what the equivalent-linear column has them do.
-const BORNE_OUT: f64 = 0.5;
-
 /// A candidate at one strength.
 #[derive(Clone)]
 struct Node {
@@ -48,8 +43,6 @@ struct Node {
 pub(super) struct Direction {
     node: Node,
     pub change: Arc<Rows>,
-    /// Whether that is from a replay.
-    is_replayed: bool,
 }
 
 /// An effect of a proposal.
@@ -100,7 +93,7 @@ impl<'a> Competition<'a> {
         let best = (0..all.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or(0);
         let x = all.into_iter().nth(best).unwrap_or_default();
         let slopes = base.slopes.iter().cloned().map(Some).chain(set.parts.iter().flat_map(Part::slopes));
-        Start::at(model, x).carrying(slopes, base)
+        Start::at(model, x).carrying(slopes)
     }
 
     /// Candidates at a strength of this many typical sizes, on one side of nothing.
@@ -132,29 +125,22 @@ impl<'a> Competition<'a> {
     }
 
     /// How residuals change towards each candidate that `base` lacks and the linear problem says something of.
-    pub(super) fn directions(&self, by: &Fitter<'a>, near: Option<&Fitter<'a>>, base: &Fit<'a>) -> Vec<Direction> {
+    pub(super) fn directions(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Direction> {
         if base.model.effects.len() >= self.max_effects {
             return Vec::new();
         }
         let [smooth, _] = self.lacking(base);
         let smooth = on_threads(smooth.len(), |i| Self::at_delay(by, base, smooth[i].clone()));
-        // Further nodes are multiples of these, which come first.
-        let nodes = Self::nodes(&smooth, NODES[0]);
-        let near = near.and_then(Fitter::neighbourhood);
-        let of = |near: Option<&Neighbourhood<'_, 'a>>, nodes: Vec<Node>| -> Vec<Direction> {
-            on_threads(nodes.len(), |i| Self::told(near, by, base, nodes[i].clone())).into_iter().flatten().collect()
+        let told = |nodes: &[Node]| -> Vec<Direction> {
+            on_threads(nodes.len(), |i| Self::told(by, base, nodes[i].clone())).into_iter().flatten().collect()
         };
-        let mut all = of(near, nodes.clone());
-        let again = of(None, self.shortlist(by, base, &all));
-        // What is promising by the equivalent-linear column is replayed, and everything where replays do something else.
-        if !bears_out(&again, &all) {
-            all = of(None, nodes);
-        }
+        // Further nodes are multiples of these, which come first.
+        let mut all = told(&Self::nodes(&smooth, NODES[0]));
+        let again = told(&self.shortlist(by, base, &all));
         all.retain(|d| !again.iter().any(|n| n.node.instance == d.node.instance));
         all.extend(again);
-        // By that column: so slight a change is lost among what a replay does by chance.
         let slight = Self::nodes(&smooth, SLIGHT);
-        let slight = on_threads(slight.len(), |i| Self::direction(near, by, base, slight[i].clone()));
+        let slight = on_threads(slight.len(), |i| Self::direction(by, base, slight[i].clone()));
         all.extend(slight.into_iter().flatten());
         all
     }
@@ -184,28 +170,20 @@ impl<'a> Competition<'a> {
         linear.directions.iter().map(|d| self.prior_of(&d.node.instance)).collect()
     }
 
-    /// How the residuals of `base` change towards a node: by the equivalent-linear column `near` it where there is one and it has that.
-    fn direction(
-        near: Option<&Neighbourhood<'_, 'a>>,
-        by: &Fitter<'a>,
-        base: &Fit<'a>,
-        node: Node,
-    ) -> Option<Direction> {
-        let near = near.filter(|_| by.is_replayed(&node.instance));
-        let known = near.and_then(|near| by.change_by(near, base, &node.instance, &node.at));
-        let is_replayed = known.is_none();
-        let change = known.or_else(|| by.change_with(base, &node.instance, &node.at).ok())?;
-        Some(Direction { node, change: Arc::new(change), is_replayed })
+    /// How the residuals of `base` change towards a node.
+    fn direction(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
+        let change = by.change_with(base, &node.instance, &node.at).ok()?;
+        Some(Direction { node, change: Arc::new(change) })
     }
 
     /// [`Self::direction`] towards the node, or towards one so strong that the records tell what it does.
-    fn told(near: Option<&Neighbourhood<'_, 'a>>, by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
-        let mut found = Self::direction(near, by, base, node)?;
+    fn told(by: &Fitter<'a>, base: &Fit<'a>, node: Node) -> Option<Direction> {
+        let mut found = Self::direction(by, base, node)?;
         for _ in 0..STRONGER_TIMES {
             if 0.5 * square(&found.change) > TOLD {
                 break;
             }
-            let Some(stronger) = Self::direction(near, by, base, found.node.times(STRONGER)) else { break };
+            let Some(stronger) = Self::direction(by, base, found.node.times(STRONGER)) else { break };
             found = stronger;
         }
         Some(found)
@@ -411,17 +389,6 @@ pub(super) fn away(instance: &Instance, zero: &[f64], size: f64, sign: f64) -> O
     let mut all = zero.to_vec();
     all[first] = at;
     ((at - zero[first]).abs() > 1e-3 * step).then_some(all)
-}
-
-/// Whether most candidates that were `replayed` change records along the directions that the equivalent-linear column `foretold` of them.
-fn bears_out(replayed: &[Direction], foretold: &[Direction]) -> bool {
-    let along = |found: &Direction| {
-        let told = foretold.iter().find(|d| !d.is_replayed && d.node.instance == found.node.instance)?;
-        let product = dot(&found.change, &told.change).powi(2);
-        Some(product / (square(&found.change) * square(&told.change)).max(f64::MIN_POSITIVE))
-    };
-    let shares: Vec<f64> = replayed.iter().filter_map(along).collect();
-    shares.is_empty() || median(&shares) > BORNE_OUT
 }
 
 /// Whether `instance` is at one of the best places of its form, where they come best first; `places` are those of each form so far.

@@ -31,8 +31,8 @@ impl<'a> Competition<'a> {
         Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
     }
 
-    /// The same effect at the places before and after that of `own`: how well one of them does in its stead is told by replays, whatever
-    /// the equivalent-linear column makes of it.
+    /// The same effect at the places before and after that of `own`: how well one of them does in its stead is told by a fit, however
+    /// the strengths that were looked at.
     fn next_to<'i>(&'i self, own: &'i Instance) -> impl Iterator<Item = &'i Instance> {
         let alike = || self.instances.iter().filter(|i| i.is_alike(own));
         let at = alike().position(|i| i.is_one(own));
@@ -48,10 +48,10 @@ impl<'a> Competition<'a> {
             }
             let is_meant = |i: &&Instance| is_rival(own, i) && base.model.index_of(i).is_none();
             // Tolerances hold beside a rival as they do beside the effect, unless they stand in for what it would explain.
-            let (model, x) = without(base, index);
-            let grounds = [Ground::declared(by, model.clone(), x.clone()), Ground::new(by, model, x)];
+            let rest = without(base, index);
+            let grounds = [Ground::declared(by, rest.clone()), Some(Ground::new(by, rest))];
             let of_ground = |ground: Ground<'a, '_>| ground.starts(self.instances.iter().filter(is_meant));
-            let mut starts: Vec<Start<'a>> = grounds.into_iter().flat_map(of_ground).collect();
+            let mut starts: Vec<Start<'a>> = grounds.into_iter().flatten().flat_map(of_ground).collect();
             let is_new =
                 |next: &Start<'a>| !starts.iter().any(|known| is_same_set(&known.model.effects, &next.model.effects));
             let next: Vec<Start<'a>> =
@@ -63,21 +63,23 @@ impl<'a> Competition<'a> {
     }
 }
 
-/// The model of `base` and where it is, effect `index` left out.
-fn without<'a>(base: &Fit<'a>, index: usize) -> (Model<'a>, Vec<f64>) {
-    let (mut model, mut x) = (base.model.clone(), base.x.clone());
-    x.drain(base.model.coordinates_of(index));
-    model.effects.remove(index);
-    (model, x)
+/// Where `base` is, effect `index` left out.
+fn without<'a>(base: &Fit<'a>, index: usize) -> Start<'a> {
+    let mut rest = Start::from(base.clone());
+    rest.x.drain(base.model.coordinates_of(index));
+    rest.slopes.drain(base.model.coordinates_of(index));
+    rest.model.effects.remove(index);
+    Start { axes: None, is_settled: false, ..rest }
 }
 
 /// Where `base` is, `other` in the place of its effect `index` and as strong.
 fn exchanged<'a>(base: &Fit<'a>, index: usize, other: &Instance) -> Start<'a> {
-    let (mut model, mut x) = without(base, index);
+    let Start { mut model, mut x, mut slopes, .. } = without(base, index);
     x.extend(&base.x[base.model.coordinates_of(index)]);
     model.effects.push(other.clone());
+    slopes.resize(x.len(), None);
     x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
-    Start::at(model, x)
+    Start::at(model, x).carrying(slopes)
 }
 
 /// Whether `other` could be taken for `own`: the catalogue of either knows them to be confused, or it is another place of the same.
@@ -102,7 +104,7 @@ mod tests {
             let next = |own: &Instance| competition.next_to(own).cloned().collect::<Vec<_>>();
             assert_eq!(next(&slips[0]), [slips[1].clone()]);
             assert_eq!(next(&slips[3]), [slips[2].clone(), slips[4].clone()]);
-            // Nothing slips in records of what is declared: by the equivalent-linear column no place is worth a replay.
+            // Nothing slips in records of what is declared.
             let by = competition.few.fitter(&competition.fitter);
             let model = Model { declared: competition.few.declared, effects: vec![slips[3].clone()] };
             let x = [vec![0.0; model.declared.len()], slips[3].start()].concat();

@@ -2,41 +2,39 @@
 //! stand in for something strong, what is linear beside them says little of it.
 
 use super::proposals::{SHORTLIST, away, is_among_best, is_linear};
-use super::{Competition, FAR, FAR_HEAT, FAR_HEATS};
+use super::{Competition, FAR, FAR_HEATS, HEAT};
 use crate::effects::Instance;
-use crate::inference::parameters::Model;
-use crate::inference::posterior::{Fit, Fitter, Start};
+use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::numerics::threads::on_threads;
 use std::collections::BTreeMap;
 
 /// Strengths at which candidates are tried to either side of nothing, in typical sizes; where the last is the best, twice that and so on.
 const LADDER: [f64; 4] = [0.4, 0.9, 1.5, 2.2];
 
-/// What candidates are added to: a model somewhere.
+/// What candidates are added to: a model somewhere, with its slopes there.
 pub(super) struct Ground<'a, 'f> {
     by: &'f Fitter<'a>,
-    model: Model<'a>,
-    x: Vec<f64>,
+    at: Start<'a>,
 }
 
 impl<'a> Competition<'a> {
     /// First fits of the most promising candidates beside the effects of `base`.
     pub(super) fn strong(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
-        let ground = Ground::declared(by, base.model.clone(), base.x.clone());
+        let Some(ground) = Ground::declared(by, Start::from(base.clone())) else { return Vec::new() };
         let open = self.instances.iter().filter(|i| base.model.index_of(i).is_none());
         self.replayed(by, &ground.starts(open))
     }
 
     /// First fits from `starts`: what is far behind by what its search promises is left behind on the way.
     pub(super) fn replayed(&self, by: &Fitter<'a>, starts: &[Start<'a>]) -> Vec<Fit<'a>> {
-        let first = |i: usize| by.fit(starts[i].clone(), FAR_HEAT).ok();
+        let first = |i: usize| by.fit(starts[i].clone(), HEAT).ok();
         let mut fits: Vec<Fit<'a>> = on_threads(starts.len(), first).into_iter().flatten().collect();
         for _ in 1..FAR_HEATS {
             let highest = fits.iter().map(|fit| self.log_posterior(fit)).fold(f64::NEG_INFINITY, f64::max);
             let farther = |i: usize| {
                 let fit = fits[i].clone();
-                let goes_on = fit.expected_gain() > FAR_HEAT.gain && self.promise(&fit) > highest - FAR;
-                if goes_on { by.fit(Start::from(fit), FAR_HEAT).ok() } else { Some(fit) }
+                let goes_on = fit.expected_gain() > HEAT.gain && self.promise(&fit) > highest - FAR;
+                if goes_on { by.fit(Start::from(fit), HEAT).ok() } else { Some(fit) }
             };
             fits = on_threads(fits.len(), farther).into_iter().flatten().collect();
         }
@@ -45,27 +43,24 @@ impl<'a> Competition<'a> {
 }
 
 impl<'a, 'f> Ground<'a, 'f> {
-    /// A model at `x`.
-    pub(super) fn new(by: &'f Fitter<'a>, model: Model<'a>, x: Vec<f64>) -> Self {
-        Self { by, model, x }
+    /// Where a fit might start.
+    pub(super) fn new(by: &'f Fitter<'a>, at: Start<'a>) -> Self {
+        Self { by, at }
     }
 
-    /// A model at its declared values, its effects as at `x`.
-    pub(super) fn declared(by: &'f Fitter<'a>, model: Model<'a>, mut x: Vec<f64>) -> Self {
+    /// A model at its declared values, its effects as in `at`; none where the column cannot be replayed there.
+    pub(super) fn declared(by: &'f Fitter<'a>, at: Start<'a>) -> Option<Self> {
+        let Start { model, mut x, .. } = at;
         x[..model.declared.len()].fill(0.0);
-        Self::new(by, model, x)
+        Some(Self::new(by, Start::from(by.fit(Start::at(model, x), Stop::WHERE_IT_IS).ok()?)))
     }
 
-    /// −ln of the posterior density with `instance` at `at`.
-    fn cost(&self, instance: &Instance, at: Vec<f64>) -> Option<f64> {
-        let (model, x) = self.with(instance, at);
-        self.by.cost_at(&model, x).ok()
-    }
-
-    fn with(&self, instance: &Instance, at: Vec<f64>) -> (Model<'a>, Vec<f64>) {
-        let mut model = self.model.clone();
+    /// The same with `instance` at `at`.
+    fn with(&self, instance: &Instance, at: &[f64]) -> Start<'a> {
+        let mut model = self.at.model.clone();
         model.effects.push(instance.clone());
-        (model, self.x.iter().copied().chain(at).collect())
+        let slopes = self.at.slopes.iter().cloned().chain(at.iter().map(|_| None));
+        Start::at(model, self.at.x.iter().chain(at).copied().collect()).carrying(slopes)
     }
 
     /// The most promising `candidates`, each at its most probable strength.
@@ -77,11 +72,7 @@ impl<'a, 'f> Ground<'a, 'f> {
         let mut places: BTreeMap<String, usize> = BTreeMap::new();
         all.retain(|(instance, ..)| is_among_best(&mut places, instance));
         all.truncate(SHORTLIST);
-        let start = |(instance, at, _): (&Instance, Vec<f64>, f64)| {
-            let (model, x) = self.with(instance, at);
-            Start::at(model, x)
-        };
-        all.into_iter().map(start).collect()
+        all.into_iter().map(|(instance, at, _)| self.with(instance, &at)).collect()
     }
 
     /// The most probable strength of `instance`, and −ln of its posterior density.
@@ -89,8 +80,8 @@ impl<'a, 'f> Ground<'a, 'f> {
         let zero = instance.zero()?;
         let there = |size: f64, side: f64| {
             let at = away(instance, &zero, size, side)?;
-            let cost = self.cost(instance, at.clone())?;
-            Some((at, cost))
+            let Start { model, x, .. } = self.with(instance, &at);
+            Some((at, self.by.cost_at(&model, x).ok()?))
         };
         let steps = || LADDER.iter().flat_map(|size| [1.0, -1.0].map(|side| (*size, side)));
         let all = steps().filter_map(|(size, side)| Some((size, side, there(size, side)?)));
@@ -112,7 +103,6 @@ mod tests {
     use super::super::super::recalibration::recalibrated;
     use super::*;
     use crate::diagnosis::Replay;
-    use crate::inference::posterior::Stop;
     use crate::numerics::random;
 
     #[test]

@@ -1,13 +1,9 @@
 //! How residuals change with the coordinates of a model: by coordinate, along the principal axes of the posterior, and by what steps did.
 
 use super::search::JITTER;
-use super::{Fit, Fitter, Point, combined, information, square};
-use crate::effects::Instance;
-use crate::error::Result;
+use super::{Fitter, Point, combined, information};
 use crate::inference::algebra::inverse;
-use crate::inference::equivalent::Neighbourhood;
-use crate::inference::forward::Prediction;
-use crate::inference::parameters::{Model, is_replayed};
+use crate::inference::parameters::Model;
 use crate::inference::weights::Rows;
 use crate::numerics::threads::on_threads;
 use faer::linalg::solvers::Solve;
@@ -32,91 +28,23 @@ pub struct Axes {
 type Same = [(usize, Vec<(usize, f64)>)];
 
 impl<'a> Fitter<'a> {
-    /// What is near `x` by the equivalent-linear column.
-    pub fn near(&self, model: &Model<'a>, x: &[f64]) -> Option<Neighbourhood<'a, 'a>> {
-        Neighbourhood::new(self.forward, &model.tables(x)).ok()
-    }
-
-    /// How an effect besides changes the residuals of `base`, by what is `near` that; `None` where that does not have it.
-    pub fn change_by(
-        &self,
-        near: &Neighbourhood<'_, 'a>,
-        base: &Fit<'a>,
-        effect: &Instance,
-        at: &[f64],
-    ) -> Option<Rows> {
-        let (model, x) = Self::model_with(base, effect, at);
-        let change = combined(&*self.rows_by(near, &model, &x).ok()?, &base.rows, 1.0, -1.0);
-        (square(&change) > 0.0).then_some(change)
-    }
-
-    /// Whether an effect changes the motion of the column.
-    pub fn is_replayed(&self, effect: &Instance) -> bool {
-        is_replayed(effect, &self.forward.problem.array.input)
-    }
-
-    /// What a model predicts by what is `near`.
-    pub(super) fn predict_by(&self, near: &Neighbourhood<'_, 'a>, model: &Model<'a>, x: &[f64]) -> Result<Prediction> {
-        let tables = model.tables(x);
-        let prediction = self.forward.recorded(&tables, &near.motions(&tables)?)?;
-        Ok(Self::with_conventions(prediction, model, x))
-    }
-
-    /// Residuals at `x` by what is `near`.
-    fn rows_by(&self, near: &Neighbourhood<'_, 'a>, model: &Model<'a>, x: &[f64]) -> Result<Arc<Rows>> {
-        Ok(self.rows(&self.predict_by(near, model, x)?).0)
-    }
-
-    /// How residuals change with coordinate `i` by a replay; `None` where the column does not finish beside it.
+    /// How residuals change with coordinate `i`; `None` where the column does not finish beside it.
     pub(super) fn slope(&self, model: &Model<'a>, at: &Point, i: usize) -> Option<Arc<Rows>> {
-        self.difference(model, at, i, &|x| Ok(self.point(model, x.to_vec())?.rows))
-    }
-
-    fn difference(
-        &self,
-        model: &Model<'a>,
-        at: &Point,
-        i: usize,
-        rows: &dyn Fn(&[f64]) -> Result<Arc<Rows>>,
-    ) -> Option<Arc<Rows>> {
         let step = model.step(&at.x, i);
         let mut beside = at.x.clone();
         beside[i] += step;
-        Some(Arc::new(combined(&*rows(&beside).ok()?, &at.rows, 1.0 / step, -1.0 / step)))
+        Some(Arc::new(combined(&self.point(model, beside).ok()?.rows, &at.rows, 1.0 / step, -1.0 / step)))
     }
 
-    /// Slopes by replays, those apart that are `known` and would need one.
+    /// Slopes by coordinate, those apart that are `known` and would need a replay.
     pub(super) fn slopes(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
-        self.slopes_by(model, at, known, &|_| None)
-    }
-
-    /// The same by the equivalent-linear column; what that does not have is replayed.
-    pub(super) fn slopes_near(&self, model: &Model<'a>, at: &Point, known: &[Option<Arc<Rows>>]) -> Vec<Arc<Rows>> {
-        let is_open = |i: usize| model.is_replayed(i) && known.get(i).is_none_or(Option::is_none);
-        let is_wanted = self.surrogate.is_none() && (0..model.len()).any(is_open);
-        let near = is_wanted.then(|| self.near(model, &at.x)).flatten();
-        self.slopes_by(model, at, known, &|i| {
-            let near = near.as_ref().filter(|_| model.is_replayed(i))?;
-            let found = self.difference(model, at, i, &|x| self.rows_by(near, model, x))?;
-            (square(&found) > 0.0).then_some(found)
-        })
-    }
-
-    /// Slopes that are `known` or found by `first` where the coordinate changes how the column is shaken, and replayed where neither is.
-    fn slopes_by(
-        &self,
-        model: &Model<'a>,
-        at: &Point,
-        known: &[Option<Arc<Rows>>],
-        first: &(dyn Fn(usize) -> Option<Arc<Rows>> + Sync),
-    ) -> Vec<Arc<Rows>> {
         let same = model.same(&at.x);
         let nothing = || Arc::new(combined(&at.rows, &at.rows, 0.0, 0.0));
         let of = |i: usize| {
             if same.iter().any(|(effect, _)| *effect == i) {
                 return nothing();
             }
-            let own = known.get(i).cloned().flatten().or_else(|| first(i)).filter(|_| model.is_replayed(i));
+            let own = known.get(i).cloned().flatten().filter(|_| model.is_replayed(i));
             own.or_else(|| self.slope(model, at, i)).unwrap_or_else(nothing)
         };
         let mut slopes = on_threads(model.len(), of);
@@ -222,13 +150,6 @@ impl<'a> Fitter<'a> {
         }
     }
 
-    /// What a step did beyond what slopes say of it.
-    pub(super) fn missed(slopes: &[Arc<Rows>], [from, to]: [&Point; 2]) -> Rows {
-        let moved = from.x.iter().zip(&to.x).map(|(from, to)| from - to);
-        let change = combined(&to.rows, &from.rows, 1.0, -1.0);
-        slopes.iter().zip(moved).fold(change, |missed, (slope, back)| combined(&missed, slope, 1.0, back))
-    }
-
     /// Corrects slopes by what a step did beyond what they said of it, along it alone.
     ///
     /// ```text
@@ -239,7 +160,10 @@ impl<'a> Fitter<'a> {
     /// coordinates whose slopes are replays; those of sensors are taken anew.
     ///
     /// Source: (1) Broyden (1965), doi 10.1090/S0025-5718-1965-0198670-6.
-    pub(super) fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2], missed: &Rows) {
+    pub(super) fn learn(model: &Model<'a>, slopes: &mut [Arc<Rows>], [from, to]: [&Point; 2]) {
+        let back = from.x.iter().zip(&to.x).map(|(from, to)| from - to);
+        let change = combined(&to.rows, &from.rows, 1.0, -1.0);
+        let missed = slopes.iter().zip(back).fold(change, |missed, (slope, back)| combined(&missed, slope, 1.0, back));
         let prior = model.prior();
         let same = model.same(&from.x);
         let mut moved: Vec<f64> = to.x.iter().zip(&from.x).map(|(to, from)| to - from).collect();
@@ -255,7 +179,7 @@ impl<'a> Fitter<'a> {
         for (i, slope) in slopes.iter_mut().enumerate() {
             let factor = delta[i] / ((square + JITTER * JITTER) * prior[i][1]);
             if model.is_replayed(i) && factor != 0.0 {
-                *slope = Arc::new(combined(slope, missed, 1.0, factor));
+                *slope = Arc::new(combined(slope, &missed, 1.0, factor));
             }
         }
         Self::join(&same, slopes);
