@@ -2,11 +2,10 @@
 
 use super::column::{EquivalentColumn, Nodes, Wanted};
 use super::tuning::{Tuning, least};
-use crate::numerics::fixed_point::{Newton, fixed_point};
+use crate::numerics::fixed_point::fixed_point;
 use crate::numerics::grid::Grid;
 use realfft::num_complex::Complex;
 use std::f64::consts::{SQRT_2, TAU};
-use std::sync::Arc;
 
 type C64 = Complex<f64>;
 
@@ -16,8 +15,6 @@ const EFFECTIVE: f64 = 0.7;
 const ITERATIONS: usize = 40;
 /// Relative change of every strain at which they end.
 const STILL: f64 = 1e-4;
-/// The same beside a prepared column: differences are taken between these.
-const STILL_BESIDE: f64 = 1e-6;
 /// Strain with which they start.
 const START_STRAIN: f64 = 1e-5;
 /// Least effective strain.
@@ -40,10 +37,8 @@ pub struct Base<'m> {
 #[derive(Debug, Clone)]
 pub struct Compatible {
     column: EquivalentColumn,
-    nodes: Arc<Nodes>,
+    nodes: Nodes,
     strain: Vec<f64>,
-    /// How strains of columns near by are to be corrected by what is left of ln F(γ) − ln γ.
-    newton: Option<Arc<Newton>>,
 }
 
 /// Effective strains of a column under one motion of its base.
@@ -73,48 +68,18 @@ fn exp(ln: &[f64]) -> Vec<f64> {
     ln.iter().map(|x| x.exp()).collect()
 }
 
-fn ln(x: &[f64]) -> Vec<f64> {
-    x.iter().map(|x| x.ln()).collect()
-}
-
 impl Compatible {
     /// `column` under `base`: ln γ = ln F(γ), F the effective strains of the column with γ.
     ///
     /// Source: Idriss and Sun (1992), SHAKE91.
     pub fn new(column: EquivalentColumn, base: &Base<'_>) -> Self {
-        let strain = vec![START_STRAIN; column.n_element()];
-        Self::from(column, base, strain, None)
-    }
-
-    /// [`Compatible::new`] with the strains of a column `near` by to start from, if that has as many elements.
-    pub fn beside(column: EquivalentColumn, base: &Base<'_>, near: &Self) -> Self {
-        if near.strain.len() == column.n_element() {
-            Self::from(column, base, near.strain.clone(), Some(near))
-        } else {
-            Self::new(column, base)
-        }
-    }
-
-    fn from(column: EquivalentColumn, base: &Base<'_>, strain: Vec<f64>, near: Option<&Self>) -> Self {
         let ends_hz = [base.frequencies_hz.first(), base.frequencies_hz.last()].map(|f| f.copied().unwrap_or(1.0));
-        let grid = Grid::around(ends_hz[0], ends_hz[1], column.grid_step_hz());
-        let known = near.map(|near| &near.nodes).filter(|nodes| nodes.grid == grid);
-        let nodes = known.map_or_else(|| Arc::new(Nodes::new(grid)), Arc::clone);
-        let newton = near.and_then(|near| near.newton.clone());
+        let nodes = Nodes::new(Grid::around(ends_hz[0], ends_hz[1], column.grid_step_hz()));
         let effective = Effective::new(base);
         let map = |ln_strain: &[f64]| effective.of(&column, &nodes, ln_strain);
-        let still = if newton.is_some() { STILL_BESIDE } else { STILL };
-        let strain = exp(&fixed_point(ln(&strain), map, newton.as_deref(), ITERATIONS, still).0);
-        Self { column, nodes, strain, newton }
-    }
-
-    /// The same, prepared for many columns beside it: a march for each element now, and fewer for each of these.
-    #[must_use]
-    pub fn prepared(self, base: &Base<'_>) -> Self {
-        let effective = Effective::new(base);
-        let newton = Newton::at(&ln(&self.strain), |ln_strain| effective.of(&self.column, &self.nodes, ln_strain));
-        let near = Self { newton: newton.map(Arc::new), ..self };
-        Self::beside(near.column.clone(), base, &near)
+        let start = vec![START_STRAIN.ln(); column.n_element()];
+        let strain = exp(&fixed_point(start, map, ITERATIONS, STILL).0);
+        Self { column, nodes, strain }
     }
 
     /// The same column and strains with a modulus that does not grow with frequency; see [`EquivalentColumn::without_dispersion`].

@@ -152,7 +152,7 @@ fn root_of_sum<L: Lane>(x: &[f64], weights: &[f64]) -> f64 {
 }
 
 /// Frequencies at which columns are marched, and what all columns have in common there.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Nodes {
     /// The frequencies.
     pub grid: Grid,
