@@ -53,6 +53,17 @@ pub use operator::{Operator, Place};
 pub use situation::Situation;
 pub use tolerances::{Tolerances, Tolerated, tolerated};
 
+/// Kinds that tests of other rooms name.
+#[cfg(test)]
+pub mod kind {
+    use super::{clock_offset, layer_velocity, sensor_gain, small_strain_damping};
+
+    pub const CLOCK_OFFSET: &str = clock_offset::ENTRY.name;
+    pub const LAYER_VELOCITY: &str = layer_velocity::ENTRY.name;
+    pub const SENSOR_GAIN: &str = sensor_gain::ENTRY.name;
+    pub const SMALL_STRAIN_DAMPING: &str = small_strain_damping::ENTRY.name;
+}
+
 use crate::column::Profile;
 use crate::error::{Error, Result};
 use crate::registry::{self, Named};

@@ -9,7 +9,7 @@ use super::weights::Expected;
 use crate::column::{Analysis, BaseMotion, Column, Layer, MassMatrix, Profile};
 use crate::dataset::all_sensor_histories;
 use crate::diagnosis::{DiagnoseSettings, Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
-use crate::effects::{self, Array, Channels, Direction, Effect, Recording, Situation, Tolerances};
+use crate::effects::{self, Array, Channels, Direction, Effect, Recording, Situation, Tolerances, kind};
 use crate::error::Result;
 use crate::numerics::{random, spectrum};
 use crate::records::Split;
@@ -145,8 +145,8 @@ impl Replay for Uniform<'_> {
             let is_kind = move |t: &&toml::Table| t["kind"].as_str() == Some(kind);
             tables.iter().filter(is_kind).filter_map(move |t| t.get(key)?.as_float())
         };
-        let vs_m_s = 200.0 * of("layer_velocity", "ln_factor").sum::<f64>().exp();
-        let damping_ratio = DAMPING * of("small_strain_damping", "multiplier").product::<f64>();
+        let vs_m_s = 200.0 * of(kind::LAYER_VELOCITY, "ln_factor").sum::<f64>().exp();
+        let damping_ratio = DAMPING * of(kind::SMALL_STRAIN_DAMPING, "multiplier").product::<f64>();
         let passed = |base: &Vec<f64>| {
             let at = |z: &f64| moved(base, [vs_m_s, damping_ratio], *z);
             Ok(self.0.array.depths_m.iter().map(at).collect())
