@@ -58,9 +58,13 @@ pub use tolerances::{Tolerances, Tolerated, tolerated};
 pub mod kind {
     use super::{clock_offset, layer_velocity, sensor_gain, small_strain_damping};
 
+    /// Of the file of that name.
     pub const CLOCK_OFFSET: &str = clock_offset::ENTRY.name;
+    /// Of the file of that name.
     pub const LAYER_VELOCITY: &str = layer_velocity::ENTRY.name;
+    /// Of the file of that name.
     pub const SENSOR_GAIN: &str = sensor_gain::ENTRY.name;
+    /// Of the file of that name.
     pub const SMALL_STRAIN_DAMPING: &str = small_strain_damping::ENTRY.name;
 }
 

@@ -6,8 +6,8 @@
 //! What may be strong is also fitted from declared values ([`scan`]). The best of all are then fitted in all
 //! events. The search of a model goes on to its end where it promises to count ([`Competition::settle_close`]): most models are far behind
 //! wherever theirs would end. What could be taken for the effects of the model that leads is fitted in their place ([`rivals`]), at once
-//! or, where something is lacking in all models, when nothing is left to look around; where declared values are so far off that there may
-//! be other modes, it is fitted from elsewhere ([`modes`]). The competition goes on around the best model, around it less each of its
+//! or, where something is lacking in all models, when nothing is left to look around; where declared values may be so far off that there are
+//! other modes, it is fitted from elsewhere as well ([`modes`]). The competition goes on around the best model, around it less each of its
 //! effects, and around what is nearly as probable, or, where something is lacking, around the best of each number of effects, the fewest
 //! first ([`agenda`]), until that changes nothing. What the records say of the field and of the column's error is read off beside the model
 //! that leaves least, under each labelling of the channels, and the models under it are compared by that ([`expectation`]).

@@ -14,7 +14,7 @@ impl<'a> Competition<'a> {
         self.renew_spread(labels, progress)?;
         self.renew_parts(labels)?;
         self.exchange_modes(labels, progress)?;
-        if self.explore(labels, progress)? {
+        if self.expanded.is_empty() && self.explore(labels, progress)? {
             return Ok(true);
         }
         // Where nothing is lacking the answer may be there already under other names; where something is, none of them has it all.
@@ -24,7 +24,7 @@ impl<'a> Competition<'a> {
         }
         match self.agenda(labels, is_lacking).into_iter().find(|set| !has_set(&self.expanded, set)) {
             Some(next) => self.expand(next, progress).map(|()| true),
-            None => Ok(is_lacking && self.challenge(labels, progress)?),
+            None => Ok((is_lacking && self.challenge(labels, progress)?) || self.explore(labels, progress)?),
         }
     }
 

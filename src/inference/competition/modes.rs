@@ -3,7 +3,6 @@
 
 use super::{Competition, FAR, coordinates, has_set, is_same_set};
 use crate::error::Result;
-use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Start, Stop};
 use crate::inference::spread::band_hz;
 use crate::numerics::random;
@@ -15,7 +14,7 @@ use rand_distr::{Distribution, StandardNormal};
 ///
 /// Source: Bunks et al. (1995), doi 10.1190/1.1443880: half a period, here for the farthest that is to be expected, two deviations.
 const ONE_MODE: f64 = 0.25;
-/// Draws from the prior of what is declared from which fits start, and how many of these are fitted to all events.
+/// Draws from the prior of velocities from which fits start, and how many of these are fitted to all events.
 const DRAWS: usize = 16;
 const FITTED: usize = 2;
 
@@ -27,7 +26,8 @@ impl<'a> Competition<'a> {
         deviation_s * band_hz(self.fitter.forward)[1] > ONE_MODE
     }
 
-    /// Fits the most probable model under `labels` from draws of what is declared, in few events and in all, and keeps where these ended. Whether one does better than where it was.
+    /// Fits the most probable model under `labels` from draws of velocities, in few events and, what ended elsewhere, in all, and keeps where
+    /// these ended. Whether one does better than where it was.
     pub(super) fn explore(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
         let leading = self.leading(labels).clone();
         if !self.has_modes() || has_set(&self.explored, &leading.model.effects) {
@@ -37,11 +37,10 @@ impl<'a> Competition<'a> {
         self.modes.clear();
         let by = self.few.fitter(&self.fitter);
         let own = self.few.of(&by, &leading)?;
-        let starts = draws(&own.model, &own.x).into_iter().map(|x| Start { x, axes: None, ..Start::from(own.clone()) });
-        let mut found = self.replayed(&by, &starts.collect::<Vec<_>>());
+        let mut found = self.replayed(&by, &draws(&own));
         self.most_promising_first(&mut found);
         let least = self.log_posterior(&own) - FAR;
-        found.retain(|fit| self.promise(fit) > least);
+        found.retain(|fit| self.promise(fit) > least && !Self::is_near(&own, fit));
         let mut modes = vec![leading.clone()];
         for fit in found.into_iter().take(FITTED) {
             modes.extend(self.finish(Start::at(leading.model.clone(), fit.x), progress));
@@ -98,16 +97,18 @@ impl<'a> Competition<'a> {
     }
 }
 
-/// Coordinates of `model` with what is declared drawn from its prior, and effects as at `x`.
-fn draws(model: &Model<'_>, x: &[f64]) -> Vec<Vec<f64>> {
-    let (prior, bounds, n) = (model.prior(), model.bounds(), model.declared.len());
+/// Where `own` is, with velocities drawn from their prior; slopes of these are to be taken there.
+fn draws<'a>(own: &Fit<'a>) -> Vec<Start<'a>> {
+    let (prior, bounds, n) = (own.model.prior(), own.model.bounds(), own.model.declared.n_mode());
     let of = |draw: usize| {
-        let mut normal = StandardNormal.sample_iter(random::stream(draw as u64, "modes of a posterior"));
-        let declared = prior[..n].iter().zip(&bounds).map(|([mean, sd], [low, high])| {
-            let z: f64 = normal.next().unwrap_or_default();
-            (mean + sd * z).clamp(*low, *high)
-        });
-        declared.collect::<Vec<_>>().into_iter().chain(x[n..].iter().copied()).collect()
+        let mut start = Start { axes: None, ..Start::from(own.clone()) };
+        let normal = StandardNormal.sample_iter(random::stream(draw as u64, "modes of a posterior"));
+        for (i, z) in (0..n).zip(normal) {
+            let ([mean, sd], [low, high], z): (_, _, f64) = (prior[i], bounds[i], z);
+            start.x[i] = (mean + sd * z).clamp(low, high);
+            start.slopes[i] = None;
+        }
+        start
     };
     (0..DRAWS).map(of).collect()
 }
@@ -116,6 +117,7 @@ fn draws(model: &Model<'_>, x: &[f64]) -> Vec<Vec<f64>> {
 mod tests {
     use super::super::super::made_up::{Truth, Uniform, beginning_at, in_competition, problem};
     use super::*;
+    use crate::inference::parameters::Model;
     use crate::progress::Quiet;
 
     #[test]
