@@ -30,7 +30,7 @@ impl<'a> Competition<'a> {
             let Some(index) = self.known(&best.model.effects) else { break };
             let there = self.fits[index].clone();
             let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
-            if 0.5 * square(&moved) < TOLD && (there.axes.is_some() || !stop.is_exact) {
+            if 0.5 * square(&moved) < TOLD && there.axes.is_some() {
                 break;
             }
             self.fits[index] = self.fitter.fit(Start::from(there), stop)?;

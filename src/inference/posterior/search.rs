@@ -16,6 +16,8 @@ const CONVERGED: f64 = 0.2;
 const NEAR: f64 = 1.0;
 /// Change of ln of the evidence by slopes taken anew below which they are right.
 const STILL: f64 = 0.5;
+/// Steps in a row that carried slopes may foretell wrongly: the first may have been too long.
+const DOUBTS: usize = 1;
 /// Most times that slopes are taken anew at one place.
 const RENEWALS: usize = 4;
 /// Share of the expected gain that a step must bring to be taken.
@@ -36,18 +38,17 @@ pub struct Stop {
     pub steps: usize,
     /// Expected gain below which it has converged, in ln of the posterior density.
     pub gain: f64,
-    /// Whether slopes are taken anew where it ends, and wherever a step did something else than they foretold; otherwise where a shorter
-    /// one did as well.
-    pub is_exact: bool,
+    /// Whether slopes are taken where it ends, until what they say of the evidence stands still.
+    pub settles: bool,
 }
 
 impl Stop {
     /// At the most probable coordinates.
-    pub const EXACT: Self = Self { steps: STEPS, gain: CONVERGED, is_exact: true };
+    pub const EXACT: Self = Self { steps: STEPS, gain: CONVERGED, settles: true };
     /// As close to these as models have to be compared by on the way.
-    pub const CLOSE: Self = Self { steps: STEPS, gain: NEAR, is_exact: false };
+    pub const CLOSE: Self = Self { steps: STEPS, gain: NEAR, settles: true };
     /// Good enough to go on from.
-    pub const ON_THE_WAY: Self = Self { steps: STEPS / 3, ..Self::CLOSE };
+    pub const ON_THE_WAY: Self = Self { steps: STEPS / 3, gain: NEAR, settles: false };
     /// At once: what is known of the model where it is.
     pub const WHERE_IT_IS: Self = Self { steps: 0, ..Self::CLOSE };
 }
@@ -85,7 +86,7 @@ impl<'a> Fitter<'a> {
         let was_settled = stop.steps == 0 && start.is_settled;
         let mut search = self.begun(start)?;
         let has_ended = (0..stop.steps).any(|_| self.has_ended(&mut search, stop)) || stop.steps == STEPS;
-        let is_settled = was_settled || has_ended;
+        let is_settled = was_settled || (has_ended && stop.settles);
         let g = self.normal(&search.slopes, &search.at.rows);
         let cost = self.cost(&search.model, &search.at);
         let Search { model, at, slopes, axes, is_fresh, .. } = search;
@@ -114,7 +115,7 @@ impl<'a> Fitter<'a> {
         // What is left to gain is not what a short step gains.
         let (_, whole) = step(&search.model, &search.at.x, &g, f64::INFINITY);
         if whole < stop.gain || expected <= 0.0 || search.radius < RADIUS[2] {
-            if search.is_fresh || !stop.is_exact {
+            if search.is_fresh || !stop.settles {
                 return true;
             }
             search.doubts = 0;
@@ -128,7 +129,7 @@ impl<'a> Fitter<'a> {
         let is_expected = is_borne_out(gained, expected) || (gained - expected).abs() < stop.gain;
         search.doubts = if search.is_carried && !is_expected { search.doubts + 1 } else { 0 };
         // Slopes are blamed, and not the length of the step, if better ones can be had.
-        let is_at_fault = search.doubts > usize::from(!stop.is_exact);
+        let is_at_fault = search.doubts > DOUBTS;
         search.radius = match ratio {
             _ if is_at_fault => search.radius.max(JITTER),
             r if r > 0.75 => (2.0 * search.radius).min(RADIUS[1]),
@@ -143,7 +144,7 @@ impl<'a> Fitter<'a> {
                 self.carry(search, found);
                 false
             }
-            _ => stop.is_exact && !search.is_fresh,
+            _ => stop.settles && !search.is_fresh,
         };
         if is_at_fault || is_stuck {
             self.renew(search);
