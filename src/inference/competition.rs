@@ -44,8 +44,6 @@ const HEATS: usize = 4;
 const FINALS: usize = 6;
 /// First fits.
 const HEAT: Stop = Stop::ON_THE_WAY;
-/// As many of these, where tolerances have to find back from where they stood in for an effect.
-const FAR_HEATS: usize = 3;
 /// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
 const FAR: f64 = 30.0;
 /// The same within which candidates are looked for around a model, and models fitted to the end: odds of 20 to 1.

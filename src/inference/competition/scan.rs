@@ -2,7 +2,7 @@
 //! stand in for something strong, what is linear beside them says little of it.
 
 use super::proposals::{SHORTLIST, away, is_among_best, is_linear};
-use super::{Competition, FAR, FAR_HEATS, HEAT};
+use super::{Competition, HEAT, HEATS};
 use crate::effects::Instance;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::numerics::threads::on_threads;
@@ -10,6 +10,9 @@ use std::collections::BTreeMap;
 
 /// Strengths at which candidates are tried to either side of nothing, in typical sizes; where the last is the best, twice that and so on.
 const LADDER: [f64; 4] = [0.4, 0.9, 1.5, 2.2];
+
+/// Steps of a fit between two halvings.
+const SHORT: Stop = Stop { steps: 4, ..HEAT };
 
 /// What candidates are added to: a model somewhere, with its slopes there.
 pub(super) struct Ground<'a, 'f> {
@@ -25,20 +28,31 @@ impl<'a> Competition<'a> {
         self.replayed(by, &ground.starts(open))
     }
 
-    /// First fits from `starts`: what is far behind by what its search promises is left behind on the way.
+    /// First fits from `starts`: all of them a few steps, and the better half of those as many again, until no more go on than are fitted
+    /// farther anyway.
+    ///
+    /// Source: Jamieson and Talwalkar (2016), Non-stochastic best arm identification: successive halving.
     pub(super) fn replayed(&self, by: &Fitter<'a>, starts: &[Start<'a>]) -> Vec<Fit<'a>> {
-        let first = |i: usize| by.fit(starts[i].clone(), HEAT).ok();
+        let first = |i: usize| by.fit(starts[i].clone(), SHORT).ok();
         let mut fits: Vec<Fit<'a>> = on_threads(starts.len(), first).into_iter().flatten().collect();
-        for _ in 1..FAR_HEATS {
-            let highest = fits.iter().map(|fit| self.log_posterior(fit)).fold(f64::NEG_INFINITY, f64::max);
+        let mut going = fits.len();
+        loop {
+            self.most_promising_first(&mut fits);
+            going = (going / 2).max(HEATS.min(fits.len()));
+            let stop = if going > HEATS { SHORT } else { HEAT };
             let farther = |i: usize| {
-                let fit = fits[i].clone();
-                let goes_on = fit.expected_gain() > HEAT.gain && self.promise(&fit) > highest - FAR;
-                if goes_on { by.fit(Start::from(fit), HEAT).ok() } else { Some(fit) }
+                let is_open = fits[i].expected_gain() > stop.gain;
+                is_open.then(|| by.fit(Start::from(fits[i].clone()), stop).ok()).flatten()
             };
-            fits = on_threads(fits.len(), farther).into_iter().flatten().collect();
+            let found: Vec<Option<Fit<'a>>> = on_threads(going, farther);
+            let is_over = going <= HEATS || found.iter().all(Option::is_none);
+            for (fit, found) in fits.iter_mut().zip(found) {
+                *fit = found.unwrap_or_else(|| fit.clone());
+            }
+            if is_over {
+                return fits;
+            }
         }
-        fits
     }
 }
 
