@@ -45,6 +45,12 @@ struct Resolution {
 }
 
 impl Resolution {
+    /// `declared` in the elements and with the steps of a replay up to `high_hz`.
+    fn of(self, declared: &ColumnSections, high_hz: f64) -> ColumnSections {
+        let analysis = self.stepped(&declared.analysis, high_hz);
+        ColumnSections { analysis, ..meshed(declared.clone(), self.per_wave, high_hz) }
+    }
+
     /// Steps of a replay up to `high_hz`: whole output steps, or parts of one. Of one length: where they are shortened goes by limits,
     /// so that motions would jump by a little as parameters change.
     fn stepped(self, declared: &Analysis, high_hz: f64) -> Analysis {
@@ -122,12 +128,10 @@ impl<'a> Bench<'a> {
         events: Vec<(Split, Vec<Record>)>,
     ) -> Result<Self> {
         let high_hz = diagnose.band_hz[1];
-        let declared = sections;
-        let rough = coarsened(&declared, ROUGH, high_hz);
-        let sections = coarsened(&declared, FINE, high_hz);
+        let rough = no_finer(ROUGH.of(&sections, high_hz), &sections);
         // What is sought in soil is not to make up for what elements leave wrong.
-        let meshed = meshed(declared, FINE.per_wave, high_hz);
-        let fine = ColumnSections { site: meshed.site, ..sections.clone() };
+        let fine = FINE.of(&sections, high_hz);
+        let sections = no_finer(fine.clone(), &sections);
         let noise: Vec<_> =
             events.iter().map(|(_, r)| r.iter().map(|r| diagnosis::noise(r, settings.noise)).collect()).collect();
         let events: Vec<(Split, Vec<Record>)> = events.into_iter().map(|(split, r)| (split, strongest(r))).collect();
@@ -172,15 +176,10 @@ fn strongest(records: Vec<Record>) -> Vec<Record> {
     records.iter().map(|r| r.window(start_s, LONGEST_S)).collect()
 }
 
-/// `sections` in no more elements than are needed, and with the steps of a replay.
-fn coarsened(sections: &ColumnSections, resolution: Resolution, high_hz: f64) -> ColumnSections {
-    let mut found = sections.clone();
-    let needed = meshed(sections.clone(), resolution.per_wave, high_hz);
-    if needed.site.elements < found.site.elements {
-        found.site = needed.site;
-    }
-    found.analysis = resolution.stepped(&sections.analysis, high_hz);
-    found
+/// `found` in the elements of `declared` where these are no more.
+fn no_finer(found: ColumnSections, declared: &ColumnSections) -> ColumnSections {
+    let site = if found.site.elements < declared.site.elements { found.site } else { declared.site.clone() };
+    ColumnSections { site, ..found }
 }
 
 /// `sections` in `per_wave` elements to the shortest wave below `high_hz`, of one height but where those of each layer's own waves are
@@ -315,7 +314,7 @@ mod tests {
             let site = Manifest::load(&path, &[]).expect("a sound site").site;
             let sections = site.column();
             let high_hz = DiagnoseSettings::default().band_hz[1];
-            let [fine, rough] = [FINE, ROUGH].map(|resolution| coarsened(&sections, resolution, high_hz));
+            let [fine, rough] = [FINE, ROUGH].map(|resolution| no_finer(resolution.of(&sections, high_hz), &sections));
             assert_eq!([&fine, &rough].map(|s| s.analysis.max_step_s), [0.005, 0.01]);
             [fine.site.elements, rough.site.elements]
         };
