@@ -2,15 +2,15 @@
 //!
 //! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node is a
 //! direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a small
-//! linear problem ([`Competition::expand`]), whose best are fitted in few events.
-//! What may be strong is also fitted from declared values ([`scan`]). The best of all are then fitted in all
-//! events. The search of a model goes on to its end where it promises to count ([`Competition::settle_close`]): most models are far behind
-//! wherever theirs would end. What could be taken for the effects of the model that leads is fitted in their place ([`rivals`]), at once
-//! or, where something is lacking in all models, when nothing is left to look around; where declared values may be so far off that there are
-//! other modes, it is fitted from elsewhere as well ([`modes`]). The competition goes on around the best model, around it less each of its
-//! effects, and around what is nearly as probable, or, where something is lacking, around the best of each number of effects, the fewest
-//! first ([`agenda`]), until that changes nothing. What the records say of the field and of the column's error is read off beside the model
-//! that leaves least, under each labelling of the channels, and the models under it are compared by that ([`expectation`]).
+//! linear problem ([`Competition::expand`]), whose best are fitted in few events. What may be strong is also fitted from declared values
+//! ([`scan`]). The best of all are then fitted in all events. The search of a model goes on to its end where it promises to count
+//! ([`Competition::settle_close`]): most models are far behind wherever theirs would end. What could be taken for the effects of the model
+//! that leads is fitted in their place ([`rivals`]), at once or, where something is lacking in all models, when nothing is left to look
+//! around; where declared values may be so far off that there are other modes, that model is fitted from elsewhere as well ([`modes`]). The
+//! competition goes on around the best model, around it less each of its effects, and around what is nearly as probable, or, where something
+//! is lacking, around the best of each number of effects, the fewest first ([`agenda`]), until that changes nothing. What the records say of
+//! the field and of the column's error is read off beside the model that leaves least, under each labelling of the channels, and the models
+//! under it are compared by that ([`expectation`]).
 
 mod agenda;
 mod expansion;
@@ -42,8 +42,6 @@ use std::sync::Arc;
 /// Single effects and pairs that are fitted around one model in few events, and how many of these in all.
 const HEATS: usize = 4;
 const FINALS: usize = 6;
-/// First fits.
-const HEAT: Stop = Stop::ON_THE_WAY;
 /// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
 const FAR: f64 = 30.0;
 /// The same within which candidates are looked for around a model, and models fitted to the end: odds of 20 to 1.

@@ -1,6 +1,7 @@
 //! What other programs make of the same declared column: what these change is no property of a site.
 
 use super::forward::{Bins, Forward, Prediction, built};
+use super::spread::band_hz;
 use crate::column::Profile;
 use crate::effects::{self, Effect};
 use crate::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Tuning, element_count};
@@ -70,7 +71,7 @@ impl Columns {
     fn tuned(forward: &Forward<'_>, tables: &[Table], motions: &[Bins]) -> Result<Self> {
         let effects = built(forward.problem, tables)?;
         let (bases, depths_m) = (forward.bases(&effects), depths_m(forward, &effects));
-        let high_hz = forward.groups.iter().filter_map(|g| g.frequencies_hz.last()).fold(1.0f64, |m, f| m.max(*f));
+        let high_hz = band_hz(forward)[1].max(1.0);
         let (curves, elements) = (Curves::default(), element_count(&forward.problem.array.profile, high_hz));
         let mut known: Vec<(Profile, EquivalentColumn)> = Vec::new();
         let mut columns = Vec::with_capacity(forward.records.len());

@@ -225,7 +225,7 @@ impl Declared {
 }
 
 /// Whether an effect changes the motion of the column, and not only what output sensors make of it.
-pub fn is_replayed(instance: &Instance, input: &str) -> bool {
+fn is_replayed(instance: &Instance, input: &str) -> bool {
     instance.changes_column()
         || ["sensor", "with"].iter().any(|key| instance.target.get(*key).and_then(toml::Value::as_str) == Some(input))
 }

@@ -82,6 +82,15 @@ impl<'a> Start<'a> {
         Self { slopes: slopes.into_iter().collect(), ..self }
     }
 
+    /// The same with an effect besides, whose coordinates are `at` and whose slopes are not known.
+    #[must_use]
+    pub fn and(mut self, effect: &Instance, at: &[f64]) -> Self {
+        self.model.effects.push(effect.clone());
+        self.x.extend(at);
+        self.slopes.resize(self.x.len(), None);
+        Self { axes: None, is_settled: false, ..self }
+    }
+
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
         let Fit { model, x, slopes, axes, is_settled, .. } = found;
@@ -149,20 +158,14 @@ impl<'a> Fitter<'a> {
         Ok(Arc::new(prediction))
     }
 
-    /// The model of `base` with an effect besides, whose coordinates are `at`, and all its coordinates.
-    fn model_with(base: &Fit<'a>, effect: &Instance, at: &[f64]) -> (Model<'a>, Vec<f64>) {
-        let mut model = base.model.clone();
-        model.effects.push(effect.clone());
-        (model, base.x.iter().chain(at).copied().collect())
-    }
-
     /// What the model of `base` predicts with an effect besides, whose coordinates are `at`.
     ///
     /// # Errors
     /// When the column cannot be replayed.
     pub fn predict_with(&self, base: &Fit<'a>, effect: &Instance, at: &[f64]) -> Result<Arc<Prediction>> {
-        let (model, x) = Self::model_with(base, effect, at);
-        self.predict(&model, &x)
+        let mut model = base.model.clone();
+        model.effects.push(effect.clone());
+        self.predict(&model, &[&base.x[..], at].concat())
     }
 
     /// How that changes the residuals of `base`.

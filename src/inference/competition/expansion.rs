@@ -2,7 +2,7 @@
 
 use super::null::Null;
 use super::proposals::{Linear, Proposal, distinct};
-use super::{Competition, FAR, FINALS, HEAT, is_same_set};
+use super::{Competition, FAR, FINALS, is_same_set};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::inference::parameters::Model;
@@ -72,7 +72,7 @@ impl<'a> Competition<'a> {
         let of = |p: &Proposal| -> Vec<Instance> { p.parts.iter().map(|part| part.instance.clone()).collect() };
         let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs, of) };
         let all: Vec<Proposal> = distinct(singles, of).into_iter().chain(pairs).collect();
-        let fitted = |i: usize| by.fit(Self::started(by, base, &all[i]), HEAT).ok();
+        let fitted = |i: usize| by.fit(Self::started(by, base, &all[i]), Stop::ON_THE_WAY).ok();
         on_threads(all.len(), fitted).into_iter().flatten().collect()
     }
 
@@ -86,11 +86,8 @@ impl<'a> Competition<'a> {
         let together = Some(all.clone()).filter(|all| all.len() > 1);
         let all: Vec<Vec<Instance>> = alone.chain(together).collect();
         let fitted = |i: usize| {
-            let effects = [&base.model.effects[..], &all[i]].concat();
-            let model = Model { declared: base.model.declared, effects };
-            let mut x = base.x.clone();
-            x.resize(model.len(), 0.0);
-            by.fit(Start::at(model, x).carrying(base.slopes.iter().cloned().map(Some)), HEAT).ok()
+            let start = all[i].iter().fold(Start::from(base.clone()), |s, e| s.and(e, &vec![0.0; e.free.len()]));
+            by.fit(start, Stop::ON_THE_WAY).ok()
         };
         let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.promise(a).total_cmp(&self.promise(b)))

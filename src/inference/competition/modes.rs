@@ -37,7 +37,7 @@ impl<'a> Competition<'a> {
         self.modes.clear();
         let by = self.few.fitter(&self.fitter);
         let own = self.few.of(&by, &leading)?;
-        let mut found = self.replayed(&by, &draws(&own));
+        let mut found = self.first_fits(&by, &draws(&own));
         self.most_promising_first(&mut found);
         let least = self.log_posterior(&own) - FAR;
         found.retain(|fit| self.promise(fit) > least && !Self::is_near(&own, fit));

@@ -31,8 +31,8 @@ impl<'a> Competition<'a> {
         Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
     }
 
-    /// The same effect at the places before and after that of `own`: how well one of them does in its stead is told by a fit, however
-    /// the strengths that were looked at.
+    /// The same effect at the places before and after that of `own`: how well one of them does in its stead is told by a fit,
+    /// whatever it does at the strengths that are tried.
     fn next_to<'i>(&'i self, own: &'i Instance) -> impl Iterator<Item = &'i Instance> {
         let alike = || self.instances.iter().filter(|i| i.is_alike(own));
         let at = alike().position(|i| i.is_one(own));
@@ -57,7 +57,7 @@ impl<'a> Competition<'a> {
             let next: Vec<Start<'a>> =
                 self.next_to(own).filter(is_meant).map(|i| exchanged(base, index, i)).filter(is_new).collect();
             starts.extend(next);
-            self.replayed(by, &starts)
+            self.first_fits(by, &starts)
         };
         (0..base.model.effects.len()).flat_map(of).collect()
     }
@@ -74,12 +74,9 @@ fn without<'a>(base: &Fit<'a>, index: usize) -> Start<'a> {
 
 /// Where `base` is, `other` in the place of its effect `index` and as strong.
 fn exchanged<'a>(base: &Fit<'a>, index: usize, other: &Instance) -> Start<'a> {
-    let Start { mut model, mut x, mut slopes, .. } = without(base, index);
-    x.extend(&base.x[base.model.coordinates_of(index)]);
-    model.effects.push(other.clone());
-    slopes.resize(x.len(), None);
-    x.iter_mut().zip(model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
-    Start::at(model, x).carrying(slopes)
+    let mut start = without(base, index).and(other, &base.x[base.model.coordinates_of(index)]);
+    start.x.iter_mut().zip(start.model.bounds()).for_each(|(x, [low, high])| *x = x.clamp(low, high));
+    start
 }
 
 /// Whether `other` could be taken for `own`: the catalogue of either knows them to be confused, or it is another place of the same.

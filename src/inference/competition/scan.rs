@@ -2,7 +2,7 @@
 //! stand in for something strong, what is linear beside them says little of it.
 
 use super::proposals::{SHORTLIST, away, is_among_best, is_linear};
-use super::{Competition, HEAT, HEATS};
+use super::{Competition, HEATS};
 use crate::effects::Instance;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::numerics::threads::on_threads;
@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 const LADDER: [f64; 4] = [0.4, 0.9, 1.5, 2.2];
 
 /// Steps of a fit between two halvings.
-const SHORT: Stop = Stop { steps: 4, ..HEAT };
+const SHORT: Stop = Stop { steps: 4, ..Stop::ON_THE_WAY };
 
 /// What candidates are added to: a model somewhere, with its slopes there.
 pub(super) struct Ground<'a, 'f> {
@@ -25,21 +25,21 @@ impl<'a> Competition<'a> {
     pub(super) fn strong(&self, by: &Fitter<'a>, base: &Fit<'a>) -> Vec<Fit<'a>> {
         let Some(ground) = Ground::declared(by, Start::from(base.clone())) else { return Vec::new() };
         let open = self.instances.iter().filter(|i| base.model.index_of(i).is_none());
-        self.replayed(by, &ground.starts(open))
+        self.first_fits(by, &ground.starts(open))
     }
 
     /// First fits from `starts`: all of them a few steps, and the better half of those as many again, until no more go on than are fitted
     /// farther anyway.
     ///
     /// Source: Jamieson and Talwalkar (2016), Non-stochastic best arm identification: successive halving.
-    pub(super) fn replayed(&self, by: &Fitter<'a>, starts: &[Start<'a>]) -> Vec<Fit<'a>> {
+    pub(super) fn first_fits(&self, by: &Fitter<'a>, starts: &[Start<'a>]) -> Vec<Fit<'a>> {
         let first = |i: usize| by.fit(starts[i].clone(), SHORT).ok();
         let mut fits: Vec<Fit<'a>> = on_threads(starts.len(), first).into_iter().flatten().collect();
         let mut going = fits.len();
         loop {
             self.most_promising_first(&mut fits);
             going = (going / 2).max(HEATS.min(fits.len()));
-            let stop = if going > HEATS { SHORT } else { HEAT };
+            let stop = if going > HEATS { SHORT } else { Stop::ON_THE_WAY };
             let farther = |i: usize| {
                 let is_open = fits[i].expected_gain() > stop.gain;
                 is_open.then(|| by.fit(Start::from(fits[i].clone()), stop).ok()).flatten()
@@ -47,7 +47,9 @@ impl<'a> Competition<'a> {
             let found: Vec<Option<Fit<'a>>> = on_threads(going, farther);
             let is_over = going <= HEATS || found.iter().all(Option::is_none);
             for (fit, found) in fits.iter_mut().zip(found) {
-                *fit = found.unwrap_or_else(|| fit.clone());
+                if let Some(found) = found {
+                    *fit = found;
+                }
             }
             if is_over {
                 return fits;
@@ -69,14 +71,6 @@ impl<'a, 'f> Ground<'a, 'f> {
         Some(Self::new(by, Start::from(by.fit(Start::at(model, x), Stop::WHERE_IT_IS).ok()?)))
     }
 
-    /// The same with `instance` at `at`.
-    fn with(&self, instance: &Instance, at: &[f64]) -> Start<'a> {
-        let mut model = self.at.model.clone();
-        model.effects.push(instance.clone());
-        let slopes = self.at.slopes.iter().cloned().chain(at.iter().map(|_| None));
-        Start::at(model, self.at.x.iter().chain(at).copied().collect()).carrying(slopes)
-    }
-
     /// The most promising `candidates`, each at its most probable strength.
     pub(super) fn starts<'i>(&self, candidates: impl Iterator<Item = &'i Instance>) -> Vec<Start<'a>> {
         let smooth: Vec<&Instance> = candidates.filter(|i| is_linear(i)).collect();
@@ -86,7 +80,7 @@ impl<'a, 'f> Ground<'a, 'f> {
         let mut places: BTreeMap<String, usize> = BTreeMap::new();
         all.retain(|(instance, ..)| is_among_best(&mut places, instance));
         all.truncate(SHORTLIST);
-        all.into_iter().map(|(instance, at, _)| self.with(instance, &at)).collect()
+        all.into_iter().map(|(instance, at, _)| self.at.clone().and(instance, &at)).collect()
     }
 
     /// The most probable strength of `instance`, and −ln of its posterior density.
@@ -94,7 +88,7 @@ impl<'a, 'f> Ground<'a, 'f> {
         let zero = instance.zero()?;
         let there = |size: f64, side: f64| {
             let at = away(instance, &zero, size, side)?;
-            let Start { model, x, .. } = self.with(instance, &at);
+            let Start { model, x, .. } = self.at.clone().and(instance, &at);
             Some((at, self.by.cost_at(&model, x).ok()?))
         };
         let steps = || LADDER.iter().flat_map(|size| [1.0, -1.0].map(|side| (*size, side)));
