@@ -171,7 +171,8 @@ pub struct Diagnosis {
     pub ambiguity: Vec<String>,
     /// Recalibrated declared values as `[[effects]]`, without any new effect.
     pub nuisances: Vec<toml::Table>,
-    /// The same, fitted together with the named effects, and with them effects that the records ask for and whose strength may be none.
+    /// The same, fitted together with the named effects, and with them effects that the records ask for and that are not named: their
+    /// strength may be none, or others that do alike are probable too.
     pub corrected_nuisances: Vec<toml::Table>,
     /// Models that were fitted, most probable first.
     pub candidates: Vec<Candidate>,

@@ -3,11 +3,12 @@
 mod claims;
 mod declared;
 mod kinds;
+mod residuals;
 
 use super::competition::Competition;
 use super::convention::conventions;
 use super::few::{self, Few};
-use super::forward::{Forward, Prediction};
+use super::forward::Forward;
 use super::intervals::{Member, NORMAL, averaged, half_widths};
 use super::parameters::{Declared, Model};
 use super::posterior::{Fit, Fitter, Start, Stop};
@@ -23,6 +24,7 @@ use crate::progress::Progress;
 use crate::records::Split;
 use declared::declared_values;
 use kinds::{Masses, alternatives, besides, has_all, is_taken, known_kinds};
+use residuals::{Residuals, closest_to_mean};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Largest probability that nothing is missing beside which an effect is named.
@@ -96,19 +98,19 @@ impl<'a> Answer<'_, 'a> {
         let sure = self.sure(&known).filter(|_| is_missing);
         // Something besides is surely there, and no name for it is sure.
         let is_more = is_missing && mass.get(&known).copied().unwrap_or(0.0) < NOTHING;
-        let named = sure.unwrap_or(plain);
-        let most = self.competition.best_of(|fit| has_all(&self.claimed_kinds(fit), &known)).unwrap_or(best);
+        let with_known = self.closest_to_mean(|fit| has_all(&self.claimed_kinds(fit), &known)).unwrap_or(best);
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
         let unnamed = self.probabilities().filter(|(fit, _)| !fit.model.is_named()).map(|(_, p)| p).sum::<f64>();
         let is_unnamed = unnamed > 0.5;
-        let mut answer = if is_more { most } else { named };
+        let mut answer = if is_more || sure.is_some() { with_known } else { plain };
         let mut rest = self.rest(answer, is_unnamed);
         // Where what is surely there has no name, names compete for what is not theirs.
         let is_ambiguous = is_more && rest.verdict != RestVerdict::Unnamed;
         if is_more && !is_ambiguous {
-            answer = named;
+            answer = sure.unwrap_or(plain);
             rest = self.rest(answer, is_unnamed);
         }
+        let named = if is_ambiguous { self.claimed_kinds(answer) } else { known.clone() };
         let verdict = match sure {
             _ if is_ambiguous => Verdict::Ambiguous,
             Some(_) => Verdict::Known,
@@ -120,7 +122,7 @@ impl<'a> Answer<'_, 'a> {
         let open =
             (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
         let members = self.members(answer);
-        let claims = self.claims(answer, &members);
+        let claims = self.claims(answer, named, &members);
         let effects = if is_named { self.found(answer, &members, &claims.claimed) } else { Vec::new() };
         let tables: Vec<toml::Table> = effects.iter().map(|found| found.table.clone()).collect();
         let left_alone = effects::left_alone(&tables, &self.problem.array.profile);
@@ -147,6 +149,23 @@ impl<'a> Answer<'_, 'a> {
     /// The most probable model of which the `known` kinds and no other are claimed, if any are known.
     fn sure(&self, known: &[&'static str]) -> Option<&Fit<'a>> {
         self.competition.best_of(|fit| !known.is_empty() && self.claimed_kinds(fit) == known)
+    }
+
+    /// The one of the models that `is_meant` takes whose prediction is closest to the mean over all models by their probability, in shares
+    /// of the power of the records: that of the least expected square error. Where effects do alike, the mean has what they do and none of
+    /// them is probable by itself, so that a model of the probable ones alone predicts worse than any that has one of them.
+    ///
+    /// Source: Barbieri et al. (2021), doi 10.1214/20-BA1249, for models of what is probable where effects do alike.
+    fn closest_to_mean(&self, is_meant: impl Fn(&Fit<'a>) -> bool) -> Option<&Fit<'a>> {
+        let meant: Vec<&Fit<'a>> = self.competition.fits.iter().filter(|fit| is_meant(fit)).collect();
+        let candidates: Vec<Residuals> = meant.iter().map(|fit| self.residuals(fit)).collect();
+        let all = self.probabilities().map(|(fit, p)| (Residuals::of(&fit.prediction), p));
+        closest_to_mean(&candidates, all).map(|i| meant[i])
+    }
+
+    /// Residuals beside the named effects of `fit`.
+    fn residuals(&self, fit: &Fit<'a>) -> Residuals {
+        Residuals::of(&self.competition.named(fit))
     }
 
     /// Effects of the best model that has all known kinds, where no model has these alone.
@@ -198,8 +217,8 @@ impl<'a> Answer<'_, 'a> {
 
     /// Share of the power of the recalibrated model's residual that is not there any more.
     fn explained_share(&self, fit: &Fit<'a>) -> f64 {
-        1.0 - self.misfit(&self.competition.named(fit))
-            / self.misfit(&self.competition.fits[0].prediction).max(f64::MIN_POSITIVE)
+        let plain = self.residuals(&self.competition.fits[0]).share();
+        1.0 - self.residuals(fit).share() / plain.max(f64::MIN_POSITIVE)
     }
 
     /// Every fitted model with its posterior probability.
@@ -236,20 +255,6 @@ impl<'a> Answer<'_, 'a> {
         };
         let once: BTreeSet<&&'static str> = known.iter().collect();
         once.into_iter().filter_map(of).collect()
-    }
-
-    /// Residual power over that of the records, mean over records and sensors.
-    fn misfit(&self, prediction: &Prediction) -> f64 {
-        let mut sum = [0.0, 0.0];
-        for p in prediction {
-            for (y, m) in p.outputs.iter().zip(&p.measured) {
-                let power: f64 = m.iter().map(|m| m.norm_sqr()).sum();
-                let rest: f64 = m.iter().zip(y).map(|(m, y)| (m - y).norm_sqr()).sum();
-                sum[0] += rest / power.max(f64::MIN_POSITIVE);
-                sum[1] += 1.0;
-            }
-        }
-        sum[0] / f64::max(sum[1], 1.0)
     }
 
     /// What remains beside the named effects of `fit`, and whether part of it is known to have no name.

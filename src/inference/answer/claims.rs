@@ -11,8 +11,9 @@ use crate::inference::posterior::Fit;
 pub(super) struct Claims {
     /// Those that are claimed.
     pub claimed: Vec<usize>,
-    /// Those that may be none. Without them the others would have to stand in for what the records ask of them.
-    pub doubtful: Vec<usize>,
+    /// The others: those that may be none, and those beside which others that do alike are probable too. Without them the claimed ones
+    /// would have to stand in for what the records ask of them.
+    pub besides: Vec<usize>,
 }
 
 impl<'a> Answer<'_, 'a> {
@@ -25,8 +26,11 @@ impl<'a> Answer<'_, 'a> {
         let known = known_kinds(&self.masses());
         let sure = self.sure(&known)?;
         let members = self.members(sure);
-        let index =
-            self.claims(sure, &members).claimed.into_iter().find(|index| may_be_none(sure, *index, &members))?;
+        let index = self
+            .claims(sure, known.clone(), &members)
+            .claimed
+            .into_iter()
+            .find(|index| may_be_none(sure, *index, &members))?;
         let instance = &sure.model.effects[index];
         Some((instance.kind, known.iter().filter(|kind| **kind == instance.kind).count() - 1))
     }
@@ -36,9 +40,9 @@ impl<'a> Answer<'_, 'a> {
         limited(kinds(&fit.model.effects), self.most)
     }
 
-    /// The effects of `fit`, one of `members`, that are claimed and those that are [`Self::doubtful`].
-    pub(super) fn claims(&self, fit: &Fit<'a>, members: &[Member<'_, 'a>]) -> Claims {
-        Claims::of(&fit.model.effects, self.claimed_kinds(fit), |index| may_be_none(fit, index, members))
+    /// The effects of `fit`, one of `members`, of the `named` kinds, and the others.
+    pub(super) fn claims(&self, fit: &Fit<'a>, named: Vec<&'static str>, members: &[Member<'_, 'a>]) -> Claims {
+        Claims::of(&fit.model.effects, named, |index| may_be_none(fit, index, members))
     }
 
     /// What is not named because it is [`Self::doubtful`], in a sentence.
@@ -53,23 +57,23 @@ impl Claims {
     fn of(effects: &[Instance], mut claimed: Vec<&'static str>, may_be_none: impl Fn(usize) -> bool) -> Self {
         let named = (0..effects.len()).filter(|i| effects[*i].is_named());
         let (doubted, sure): (Vec<usize>, Vec<usize>) = named.partition(|i| may_be_none(*i));
-        let (mut claimed, mut doubtful): (Vec<usize>, Vec<usize>) =
+        let (mut claimed, mut besides): (Vec<usize>, Vec<usize>) =
             sure.into_iter().chain(doubted).partition(|i| is_taken(&mut claimed, effects[*i].kind));
         claimed.sort_unstable();
-        doubtful.sort_unstable();
-        Self { claimed, doubtful }
+        besides.sort_unstable();
+        Self { claimed, besides }
     }
 
-    /// What of `fit` is recalibrated beside what is claimed: declared values within their tolerances, and doubtful effects.
+    /// What of `fit` is recalibrated beside what is claimed: declared values within their tolerances, and the effects besides.
     pub fn recalibrated(&self, fit: &Fit<'_>) -> Vec<toml::Table> {
         let declared = fit.model.declared;
         let tables = declared.tables(&fit.x[..declared.len()]).into_iter();
-        tables.chain(self.doubtful.iter().map(|index| fit.model.effect_table(&fit.x, *index))).collect()
+        tables.chain(self.besides.iter().map(|index| fit.model.effect_table(&fit.x, *index))).collect()
     }
 
-    /// The doubtful effects of `fit` in a sentence.
+    /// The effects of `fit` besides in a sentence.
     pub fn not_left_out(&self, fit: &Fit<'_>) -> Option<String> {
-        let own = self.doubtful.iter().map(|index| &fit.model.effects[*index].kind);
+        let own = self.besides.iter().map(|index| &fit.model.effects[*index].kind);
         sentence("Recalibrated with what is declared, because the records ask for it all the same", own)
     }
 }
@@ -95,8 +99,8 @@ mod tests {
         let mut effects: Vec<Instance> = all.iter().filter(|i| i.kind == kind).take(2).cloned().collect();
         effects.insert(1, other.clone());
         let of = |claimed: &[&'static str], doubted: &[usize]| {
-            let Claims { claimed, doubtful } = Claims::of(&effects, claimed.to_vec(), |i| doubted.contains(&i));
-            [claimed, doubtful]
+            let Claims { claimed, besides } = Claims::of(&effects, claimed.to_vec(), |i| doubted.contains(&i));
+            [claimed, besides]
         };
         assert_eq!(of(&[kind, kind, other.kind], &[]), [vec![0, 1, 2], vec![]]);
         assert_eq!(of(&[kind, other.kind], &[0]), [vec![1, 2], vec![0]]);
