@@ -85,6 +85,9 @@ pub struct DeclaredValue {
     pub target: String,
     /// Parameter of the effect.
     pub parameter: String,
+    /// Depths between which it is ln of a factor of the shear-wave velocity, m; none for other values.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vs_range_m: Option<[f64; 2]>,
     /// Distance from what is declared, prior standard deviations.
     pub deviations: f64,
     /// Whether it is at the end of its tolerance: it stands in for something else.

@@ -13,7 +13,7 @@ pub use super::closing_content::{
 
 pub use super::site_content::{
     DepthModel, DepthView, EventRow, EventView, LayerView, ModelView, ProfileView, ResidualView, SensorPlace,
-    SensorView, SiteView, TransferView,
+    SensorView, SiteView, TransferView, VelocityBand,
 };
 
 /// The whole report of one site.

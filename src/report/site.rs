@@ -7,7 +7,7 @@ use super::closing::words;
 use super::closing_content::NamedEffect;
 use super::content::Content;
 use super::figure::{Key, Section, figure, legend, listed};
-use super::site_content::SiteView;
+use super::site_content::{ProfileView, SiteView};
 use super::{models, number};
 
 /// Size of the drawing, px.
@@ -51,6 +51,7 @@ pub(super) fn picture(content: &Content) -> Option<Markup> {
     let caption = html! {
         "Layers with their laws and sensors (● output, ▲ input, which shakes the base), and shear-wave velocity over depth"
         @if site.water_table_m.is_some() { "; the blue line is the water table" }
+        @if site.profiles.iter().any(|p| !p.bands.is_empty()) { ", shaded within its 95 % interval" }
         @if is_marked { "; a named effect is marked in red where it sits" } "."
         @if !elsewhere.is_empty() { " Of the whole column or its base: " (listed(&elsewhere)) "." }
     };
@@ -213,7 +214,9 @@ fn marks(drawing: &mut Drawing, site: &SiteView, effects: &[NamedEffect]) {
 
 /// Shear-wave velocities of the models over depth.
 fn velocities(drawing: &mut Drawing, site: &SiteView) {
-    let largest = site.profiles.iter().flat_map(|p| p.tops.iter().map(|t| t[1])).fold(0.0, f64::max);
+    let of =
+        |p: &ProfileView| p.tops.iter().map(|t| t[1]).chain(p.bands.iter().map(|b| b.vs_m_s[1])).fold(0.0, f64::max);
+    let largest = site.profiles.iter().map(of).fold(0.0, f64::max);
     let top_m_s = nice(largest * 1.05);
     let x_px = |vs: f64| VELOCITY_PX[0] + vs / top_m_s * (VELOCITY_PX[1] - VELOCITY_PX[0]);
     drawing.line([VELOCITY_PX[0], DEPTH_PX[0]], [VELOCITY_PX[0], DEPTH_PX[1]], "#8a8f98", 1.0);
@@ -227,6 +230,17 @@ fn velocities(drawing: &mut Drawing, site: &SiteView) {
     drawing.text(middle, DEPTH_PX[1] + 38.0, "middle", "Shear-wave velocity (m/s)");
     for profile in &site.profiles {
         let Some(model) = models::of(&profile.model) else { continue };
+        for band in &profile.bands {
+            let [low, high] = band.vs_m_s.map(x_px);
+            let (top, bottom) = (y_px(site, band.top_m), y_px(site, band.bottom_m));
+            let _ = write!(
+                drawing.svg,
+                r#"<rect x="{low:.1}" y="{top:.1}" width="{:.1}" height="{:.1}" fill="{}" fill-opacity=".18"/>"#,
+                high - low,
+                bottom - top,
+                model.color
+            );
+        }
         let ends = profile.tops.iter().skip(1).map(|t| t[0]).chain([site.depth_m]);
         let mut path = String::new();
         for (i, (top, end)) in profile.tops.iter().zip(ends).enumerate() {

@@ -43,6 +43,20 @@ pub struct ProfileView {
     pub model: String,
     /// Depth of the top of each layer, m, and its velocity, m/s.
     pub tops: Vec<[f64; 2]>,
+    /// 95 % intervals, surface down; empty where there are none.
+    pub bands: Vec<VelocityBand>,
+}
+
+/// 95 % interval of the velocity between two depths.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct VelocityBand {
+    /// Depth of its top, m.
+    pub top_m: f64,
+    /// Depth of its bottom, m.
+    pub bottom_m: f64,
+    /// Ends of the interval, m/s.
+    pub vs_m_s: [f64; 2],
 }
 
 /// Where a sensor sits.

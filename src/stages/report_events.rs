@@ -1,12 +1,15 @@
 //! From what a closed loop left to the report's sections on the site, its events and spectra.
 
 use super::closed::{Closed, over_depth, residuals, transfers};
-use super::compare;
+use super::{compare, diagnose};
+use crate::diagnosis::DeclaredValue;
 use crate::error::Result;
 use crate::metrics::peak;
 use crate::pipeline::Task;
 use crate::records::{Record, Split};
-use crate::report::content::{Content, DepthView, EventRow, EventView, LayerView, ProfileView, SensorPlace, SiteView};
+use crate::report::content::{
+    Content, DepthView, EventRow, EventView, LayerView, ProfileView, SensorPlace, SiteView, VelocityBand,
+};
 use crate::units::G_M_S2;
 
 /// Depth over which velocities are averaged to class a site, m.
@@ -29,10 +32,12 @@ pub fn added(task: &Task<'_>, content: Content) -> Result<Content> {
     };
     let depth = strongest.map(over_depth).transpose()?;
     let transfers = transfers(&found);
-    Ok(Content { depth, site_view: Some(site(&closed)?), residuals: residuals(&events), events, transfers, ..content })
+    let values = diagnose::read(task.input("diagnose")?)?.declared;
+    let site_view = Some(site(&closed, &values)?);
+    Ok(Content { depth, site_view, residuals: residuals(&events), events, transfers, ..content })
 }
 
-fn site(closed: &Closed) -> Result<SiteView> {
+fn site(closed: &Closed, values: &[DeclaredValue]) -> Result<SiteView> {
     let declared = closed.declared();
     let profile = declared.declared_profile()?;
     let mut depth_m = 0.0;
@@ -50,7 +55,11 @@ fn site(closed: &Closed) -> Result<SiteView> {
             top_m += layer.thickness_m;
             top
         });
-        profiles.push(ProfileView { model: (*model).into(), tops: tops.collect() });
+        profiles.push(ProfileView { model: (*model).into(), tops: tops.collect(), bands: Vec::new() });
+    }
+    // Intervals of declared values are those of the model that goes furthest.
+    if let Some(last) = profiles.last_mut() {
+        last.bands = velocity_bands(&last.tops, depth_m, values);
     }
     let sensors = &declared.sensors;
     let input = SensorPlace { name: sensors.input.clone(), depth_m: profile.depth_m(), is_input: true };
@@ -65,6 +74,26 @@ fn site(closed: &Closed) -> Result<SiteView> {
         water_table_m: Some(profile.water_table_m).filter(|w| *w > 0.0 && *w < depth_m),
         events: rows(closed),
     })
+}
+
+/// 95 % intervals of the velocities of layers with these `tops` down to `depth_m`, by what the records say of the declared `values`.
+fn velocity_bands(tops: &[[f64; 2]], depth_m: f64, values: &[DeclaredValue]) -> Vec<VelocityBand> {
+    let bottoms = tops.iter().skip(1).map(|top| top[0]).chain([depth_m]);
+    let within = |([top_m, vs_m_s], bottom_m): (&[f64; 2], f64)| {
+        let (top_m, vs_m_s) = (*top_m, *vs_m_s);
+        let part = move |value: &DeclaredValue| {
+            let [from_m, to_m] = value.vs_range_m?;
+            let of = |end: f64| vs_m_s * (end - value.estimate.value).exp();
+            let band = VelocityBand {
+                top_m: top_m.max(from_m),
+                bottom_m: bottom_m.min(to_m),
+                vs_m_s: value.estimate.ci95.map(of),
+            };
+            (band.top_m < band.bottom_m).then_some(band)
+        };
+        values.iter().filter_map(part).collect::<Vec<_>>()
+    };
+    tops.iter().zip(bottoms).flat_map(within).collect()
 }
 
 fn facts(profile: &crate::column::Profile) -> Vec<(String, String)> {
@@ -114,4 +143,40 @@ fn rows(closed: &Closed) -> Vec<EventRow> {
         duration_s: record.duration_s(),
     };
     closed.records.iter().map(row).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::diagnosis::Estimate;
+
+    #[test]
+    fn bands_are_cut_at_layers_and_at_ranges() {
+        let value = |range_m: Option<[f64; 2]>, value: f64, half: f64| DeclaredValue {
+            kind: String::new(),
+            target: String::new(),
+            parameter: String::new(),
+            vs_range_m: range_m,
+            deviations: 0.0,
+            is_at_end: false,
+            estimate: Estimate { value, unit: String::new(), ci95: [value - half, value + half], by_prior: None },
+            by_records: None,
+        };
+        let values = [value(Some([0.0, 3.0]), 0.1, 0.05), value(Some([3.0, 9.0]), 0.0, 0.2), value(None, 1.0, 9.0)];
+        let bands = velocity_bands(&[[0.0, 100.0], [2.0, 200.0]], 9.0, &values);
+        let of = |top_m: f64, bottom_m: f64, vs_m_s: f64, half: f64| VelocityBand {
+            top_m,
+            bottom_m,
+            vs_m_s: [vs_m_s * (-half).exp(), vs_m_s * half.exp()],
+        };
+        let expected = [of(0.0, 2.0, 100.0, 0.05), of(2.0, 3.0, 200.0, 0.05), of(3.0, 9.0, 200.0, 0.2)];
+        assert_eq!(bands.len(), expected.len());
+        for (band, expected) in bands.iter().zip(&expected) {
+            assert_eq!([band.top_m, band.bottom_m], [expected.top_m, expected.bottom_m]);
+            assert!(
+                band.vs_m_s.iter().zip(&expected.vs_m_s).all(|(a, b)| (a - b).abs() < 1e-9),
+                "{band:?} {expected:?}"
+            );
+        }
+    }
 }

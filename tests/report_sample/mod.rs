@@ -489,6 +489,12 @@ pub fn closed() -> Content {
     let profile = |model: &str, factor: f64| ProfileView {
         model: model.into(),
         tops: [[0.0, 120.0], [2.0, 140.0], [6.0, 165.0], [11.0, 190.0]].map(|[z, vs]| [z, factor * vs]).to_vec(),
+        bands: if model == "corrected" {
+            let band = |[top_m, bottom_m, vs]: [f64; 3]| VelocityBand { top_m, bottom_m, vs_m_s: [0.93 * vs, vs] };
+            [[0.0, 2.0, 120.0], [2.0, 6.0, 140.0], [6.0, 11.0, 165.0], [11.0, 17.0, 190.0]].map(band).to_vec()
+        } else {
+            Vec::new()
+        },
     };
     let layer = |top_m: f64, bottom_m: f64| LayerView { top_m, bottom_m, law: "sanisand".into() };
     let place = |(name, depth_m): (&str, f64)| SensorPlace { name: name.into(), depth_m, is_input: false };

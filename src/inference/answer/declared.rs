@@ -57,6 +57,7 @@ pub(super) fn declared_values(fit: &Fit<'_>, groups: &[usize]) -> Vec<DeclaredVa
             kind: instance.kind.to_string(),
             target: instance.place(),
             parameter: instance.free[0].parameter.name.to_string(),
+            vs_range_m: (index < n_range).then(|| [declared.cuts_m[index], declared.cuts_m[index + 1]]),
             deviations: z / deviation,
             is_at_end: index.checked_sub(n_range).is_some_and(|i| fit.model.is_strained(&fit.x, others.start + i)),
             estimate: estimate(z, half, Some(by_prior.each_ref().map(|x| value(along(x, direction))))),
