@@ -257,3 +257,22 @@ fn tuning_brings_strong_motion_closer() {
     println!("miss {:.3}, tuned {:.3}", miss(&untuned), miss(&tuned[0]));
     assert!(miss(&tuned[0]) < miss(&untuned));
 }
+
+#[test]
+fn modulus_and_damping_are_those_of_the_law_and_of_what_is_declared_for_small_strains() {
+    let law = "damping_ratio = 0.03\ngamma_ref = 1e-3\ncurvature = 1.0".parse::<toml::Table>().unwrap();
+    let one = Layer { law_kind: "hyperbolic".into(), law: law.into(), ..layer(20.0, 1900.0, 200.0) };
+    let column = EquivalentColumn::new(&Profile { elements: 20, ..plain(vec![one]) }, 20, &Curves::default()).unwrap();
+    let (modulus, damping) = column.modulus_and_damping(10.0, 1e-7, 1.0);
+    assert!((modulus - 1.0).abs() < 0.01 && (damping - 0.03).abs() < 0.002, "{modulus} {damping}");
+    let (modulus, damping) = column.modulus_and_damping(10.0, 1e-3, 1.0);
+    assert!((modulus - 0.5).abs() < 0.08 && damping > 0.1, "{modulus} {damping}");
+    // Rayleigh's dashpot β gives βω/2.
+    let rayleigh = Rayleigh { alpha_1_s: 0.0, beta_s: 0.004 };
+    let elastic = Profile { rayleigh, ..plain(vec![layer(20.0, 1900.0, 200.0)]) };
+    let column = EquivalentColumn::new(&elastic, 20, &Curves::default()).unwrap();
+    for f_hz in [1.0, 3.0] {
+        let (modulus, damping) = column.modulus_and_damping(10.0, 1e-4, f_hz);
+        assert!(modulus == 1.0 && (damping - 0.002 * TAU * f_hz).abs() < 1e-9, "{modulus} {damping}");
+    }
+}

@@ -128,6 +128,16 @@ impl Profile {
         self.layers.iter().map(|l| l.thickness_m).sum()
     }
 
+    /// The layer at `depth_m`, the last one below all; none without layers.
+    pub fn layer_at(&self, depth_m: f64) -> Option<&Layer> {
+        let mut bottom_m = 0.0;
+        let is_below = |layer: &&Layer| {
+            bottom_m += layer.thickness_m;
+            depth_m < bottom_m
+        };
+        self.layers.iter().find(is_below).or(self.layers.last())
+    }
+
     /// Time that a shear wave takes from the base to the surface, s.
     pub fn travel_time_s(&self) -> f64 {
         self.layers.iter().map(|l| l.thickness_m / l.vs_m_s).sum()

@@ -8,6 +8,7 @@ use crate::column::{Analysis, Column, Downgoing, Features, Profile, Slice, Struc
 use crate::error::Result;
 use crate::soil::{Point, Rate, Relaxation, Softening};
 pub use march::{March, Nodes, Wanted};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
 /// Elements in the wave length of the highest frequency.
@@ -159,6 +160,20 @@ impl EquivalentColumn {
     /// Number of elements.
     pub fn n_element(&self) -> usize {
         self.elements.len()
+    }
+
+    /// Secant shear modulus over the small-strain one and damping ratio, small-strain damping included, of the element around `depth_m` at
+    /// the strain amplitude `gamma` and `frequency_hz`.
+    pub fn modulus_and_damping(&self, depth_m: f64, gamma: f64, frequency_hz: f64) -> (f64, f64) {
+        let nearest = |e: &&Element| (e.depth_m - depth_m).abs();
+        let Some(element) = self.elements.iter().min_by(|a, b| nearest(a).total_cmp(&nearest(b))) else {
+            return (1.0, 0.0);
+        };
+        let (modulus, hysteretic) = element.curve.at(gamma);
+        let [re, im] = element.relaxation.map_or([1.0, 0.0], |relaxation| relaxation.modulus(frequency_hz));
+        // A dashpot keeps its strength while the secant modulus falls.
+        let viscous = 0.5 * element.beta_s * TAU * frequency_hz / (modulus * re).max(f64::MIN_POSITIVE);
+        (modulus, hysteretic + 0.5 * im / re + viscous)
     }
 
     /// Frequency step that resolves what is marched, Hz.

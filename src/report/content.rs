@@ -13,7 +13,7 @@ pub use super::closing_content::{
 
 pub use super::site_content::{
     DepthModel, DepthView, EventRow, EventView, LayerView, ModelView, ProfileView, ResidualView, SensorPlace,
-    SensorView, SiteView, TransferView, VelocityBand,
+    SensorView, SiteView, SoilCurve, TransferView, VelocityBand,
 };
 
 /// The whole report of one site.
@@ -42,6 +42,8 @@ pub struct Content {
     pub events: Vec<EventView>,
     /// Transfer functions, one per component and sensor.
     pub transfers: Vec<TransferView>,
+    /// Modulus reduction and damping of the soil.
+    pub soil_curves: Vec<SoilCurve>,
     /// What the strongest held-out motion does over depth.
     pub depth: Option<DepthView>,
     /// What remains of response spectra, one per sensor.

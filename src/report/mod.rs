@@ -16,6 +16,7 @@ mod closing_content;
 mod closing_field;
 mod closing_rest;
 pub mod content;
+mod curves;
 mod depth;
 mod distill;
 mod events;
@@ -76,6 +77,7 @@ pub fn render(content: &Content) -> Result<String> {
         events::section(content),
         spectra::section(content),
         depth::section(content),
+        curves::section(content),
         site::section(content),
         scores::section(content),
         study::section(content),

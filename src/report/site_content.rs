@@ -181,6 +181,24 @@ pub struct DepthView {
     pub models: Vec<DepthModel>,
 }
 
+/// Modulus reduction and damping of the soil at one depth, as the column has them.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SoilCurve {
+    /// Key of the model.
+    pub model: String,
+    /// Kind of the law.
+    pub law: String,
+    /// Depth, m.
+    pub depth_m: f64,
+    /// Shear strain amplitudes, %.
+    pub strain_percent: Vec<f64>,
+    /// Secant shear modulus over the small-strain one.
+    pub modulus_ratio: Vec<f64>,
+    /// Damping ratio, %.
+    pub damping_percent: Vec<f64>,
+}
+
 /// Largest absolute values in the elements of one model, surface down, and the loop of the one with the largest strain.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

@@ -3,17 +3,23 @@
 use super::closed::{Closed, over_depth, residuals, transfers};
 use super::{compare, diagnose};
 use crate::diagnosis::DeclaredValue;
+use crate::equivalent_linear::{Curves, EquivalentColumn};
 use crate::error::Result;
 use crate::metrics::peak;
 use crate::pipeline::Task;
 use crate::records::{Record, Split};
 use crate::report::content::{
-    Content, DepthView, EventRow, EventView, LayerView, ProfileView, SensorPlace, SiteView, VelocityBand,
+    Content, DepthView, EventRow, EventView, LayerView, ProfileView, SensorPlace, SiteView, SoilCurve, VelocityBand,
 };
 use crate::units::G_M_S2;
 
 /// Depth over which velocities are averaged to class a site, m.
 const CLASS_DEPTH_M: f64 = 30.0;
+/// Strain amplitudes between which soil curves are drawn, and steps between them.
+const STRAINS: [f64; 2] = [1e-6, 1e-2];
+const STRAIN_STEPS: u32 = 24;
+/// Frequency of their small-strain damping, Hz.
+const DAMPING_AT_HZ: f64 = 1.0;
 /// Lowest Vs30 of the classes A to D of Eurocode 8 (EN 1998-1:2004, table 3.1) and of A to D of NEHRP (ASCE 7-16, table 20.3-1), m/s.
 const EUROCODE_M_S: [(f64, &str); 3] = [(800.0, "A"), (360.0, "B"), (180.0, "C")];
 const NEHRP_M_S: [(f64, &str); 4] = [(1500.0, "A"), (760.0, "B"), (360.0, "C"), (180.0, "D")];
@@ -32,9 +38,40 @@ pub fn added(task: &Task<'_>, content: Content) -> Result<Content> {
     };
     let depth = strongest.map(over_depth).transpose()?;
     let transfers = transfers(&found);
+    let soil_curves = soil_curves(&closed, depth.as_ref())?;
     let values = diagnose::read(task.input("diagnose")?)?.declared;
     let site_view = Some(site(&closed, &values)?);
-    Ok(Content { depth, site_view, residuals: residuals(&events), events, transfers, ..content })
+    Ok(Content { depth, soil_curves, site_view, residuals: residuals(&events), events, transfers, ..content })
+}
+
+/// Modulus reduction and damping of the declared and the corrected column: in the first and the last layer, and where the strongest motion
+/// strains the soil most.
+fn soil_curves(closed: &Closed, strongest: Option<&DepthView>) -> Result<Vec<SoilCurve>> {
+    let declared = closed.declared().declared_profile()?;
+    let [first, last] = [declared.layers.first(), declared.layers.last()].map(|l| l.map_or(0.0, |l| l.thickness_m));
+    let mut depths_m = vec![0.5 * first, declared.depth_m() - 0.5 * last];
+    depths_m.extend(strongest.and_then(|view| view.models.last()).map(|model| model.loop_depth_m));
+    let amplitudes: Vec<f64> = (0..=STRAIN_STEPS)
+        .map(|k| STRAINS[0] * (STRAINS[1] / STRAINS[0]).powf(f64::from(k) / f64::from(STRAIN_STEPS)))
+        .collect();
+    let (mut found, curves) = (Vec::new(), Curves::default());
+    for (model, sections) in closed.models.iter().filter(|(model, _)| *model != "recalibrated") {
+        let profile = sections.profile()?;
+        let column = EquivalentColumn::new(&profile, profile.elements, &curves)?;
+        found.extend(depths_m.iter().map(|depth_m| {
+            let of = amplitudes.iter().map(|gamma| column.modulus_and_damping(*depth_m, *gamma, DAMPING_AT_HZ));
+            let (modulus_ratio, damping): (Vec<f64>, Vec<f64>) = of.unzip();
+            SoilCurve {
+                model: (*model).into(),
+                law: profile.layer_at(*depth_m).map(|layer| layer.law_kind.clone()).unwrap_or_default(),
+                depth_m: *depth_m,
+                strain_percent: amplitudes.iter().map(|gamma| 100.0 * gamma).collect(),
+                modulus_ratio,
+                damping_percent: damping.into_iter().map(|d| 100.0 * d).collect(),
+            }
+        }));
+    }
+    Ok(found)
 }
 
 fn site(closed: &Closed, values: &[DeclaredValue]) -> Result<SiteView> {

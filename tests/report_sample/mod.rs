@@ -522,6 +522,19 @@ pub fn closed() -> Content {
             depth_m,
         }
     };
+    let soil_curve = |model: &str, depth_m: f64| {
+        let strain_percent: Vec<f64> = (0..=24).map(|k| 1e-4 * 10f64.powf(f64::from(k) / 6.0)).collect();
+        let reference = if model == "corrected" { 0.05 } else { 0.08 };
+        let ratio = |g: &f64| 1.0 / (1.0 + g / reference);
+        SoilCurve {
+            model: model.into(),
+            law: "sanisand".into(),
+            depth_m,
+            modulus_ratio: strain_percent.iter().map(ratio).collect(),
+            damping_percent: strain_percent.iter().map(|g| 1.5 + 20.0 * (1.0 - ratio(g))).collect(),
+            strain_percent,
+        }
+    };
     let input = SensorPlace { name: "DHB17".into(), depth_m: 17.0, is_input: true };
     Content {
         site_view: Some(SiteView {
@@ -536,6 +549,10 @@ pub fn closed() -> Content {
         events: content.held_out.iter().map(event).collect(),
         transfers: ["EW", "NS"].into_iter().flat_map(|c| SENSORS.map(|s| (c, s))).map(transfer).collect(),
         residuals: SENSORS.map(residual).to_vec(),
+        soil_curves: ["declared", "corrected"]
+            .into_iter()
+            .flat_map(|m| [1.0, 8.7, 14.0].map(|z| soil_curve(m, z)))
+            .collect(),
         depth: Some(DepthView {
             event: content.held_out[0].event.clone(),
             component: "EW".into(),
