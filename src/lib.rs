@@ -5,7 +5,7 @@
 //! acceleration compares directly with a downhole sensor; `γ = ∂u/∂z`; `τ` has the sign of `γ` on first loading;
 //! `t = 0` at the first sample. Inside, everything is SI (`units` holds the only conversions).
 //!
-//! A room uses those before it in this line and no others: `error units numerics registry progress atomic metrics pipeline motion soil column
+//! A room uses those before it in this line and no others: `error units ranges numerics registry progress atomic metrics pipeline motion soil column
 //! equivalent_linear records dataset flare effects diagnosis inference manifest twin report stages cli`. `pipeline` knows nothing of soil
 //! and meets stages through its `Stage` trait.
 
@@ -25,6 +25,7 @@ pub mod motion;
 pub mod numerics;
 pub mod pipeline;
 pub mod progress;
+pub mod ranges;
 pub mod records;
 pub mod registry;
 pub mod report;

@@ -5,6 +5,8 @@ use crate::effects::EFFECTS;
 use crate::error::Result;
 use crate::manifest;
 use crate::pipeline::Recipe;
+use crate::ranges;
+use crate::records::Noise;
 use crate::soil::LAWS;
 use crate::twin::{Matrix, Truth};
 use clap::ValueEnum;
@@ -35,13 +37,21 @@ pub fn schema(of: SchemaOf) -> Result<()> {
         SchemaOf::Pipeline => schemars::schema_for!(Recipe),
     }
     .to_value();
+    if of == SchemaOf::Truth {
+        ranges::describe::<Noise>(&mut schema, "Noise");
+    }
     if of == SchemaOf::Site {
         let laws = LAWS.iter().map(|entry| of_kind(entry.name, (entry.schema)(), false));
         // What a law lacks may be said of each layer that follows it.
         schema["properties"]["law"]["additionalProperties"] = json!({ "oneOf": laws.collect::<Vec<_>>() });
     }
     if matches!(of, SchemaOf::Site | SchemaOf::Truth) {
-        let effects = EFFECTS.iter().map(|entry| of_kind(entry.name, (entry.schema)(), true));
+        let effects = EFFECTS.iter().map(|entry| {
+            let mut schema = of_kind(entry.name, (entry.schema)(), true);
+            let parameters = entry.catalogue.parameters.iter().filter(|parameter| !parameter.unit.is_empty());
+            parameters.for_each(|p| schema["properties"][p.name][ranges::UNIT] = p.unit.into());
+            schema
+        });
         schema["properties"]["effects"]["items"] = json!({ "oneOf": effects.collect::<Vec<_>>() });
     }
     if of == SchemaOf::Truth {

@@ -1,7 +1,12 @@
 //! How the column is stepped through time: the manifest's `[analysis]`.
 
+use crate::ranges::{Range, Ranged, outside, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// Shortest step of a column and of its output, s, and shortest one before a run is given up, s.
+const STEP_S: f64 = 1e-6;
+const LEAST_STEP_S: f64 = 1e-12;
 
 /// Mass matrix of an element.
 ///
@@ -85,20 +90,24 @@ impl Default for Analysis {
 impl Analysis {
     /// What is out of range, as (key, sentence).
     pub fn problems(&self) -> Vec<(String, String)> {
-        let mut problems = Vec::new();
-        let mut check = |key: &str, value: f64, unit: &str, low: f64, high: f64| {
-            if !(value >= low && value <= high) {
-                problems.push((key.to_string(), format!("must be in {low}…{high}{unit}, got {value}")));
-            }
+        let mut problems = self.beyond();
+        let mut check = |key: &str, value: f64, low: f64, high: f64| {
+            let what = outside([low, high], "s", value).map(|what| (key.to_string(), format!("must be {what}")));
+            problems.extend(what);
         };
-        check("max_step_s", self.max_step_s, " s", 1e-6, 1.0);
-        check("initial_step_s", self.initial_step_s, " s", 1e-6, self.max_step_s.max(1e-6));
-        check("min_step_s", self.min_step_s, " s", 1e-12, self.initial_step_s.max(1e-12));
-        check("output_step_s", self.output_step_s, " s", 1e-6, 1.0);
-        check("hht_alpha", self.hht_alpha, "", -1.0 / 3.0, 0.0);
-        check("tolerance", self.tolerance, "", 1e-12, 0.05);
-        check("max_jump", self.max_jump, "", 0.01, f64::INFINITY);
-        check("max_iterations", f64::from(self.max_iterations), "", 2.0, 1000.0);
+        check("initial_step_s", self.initial_step_s, STEP_S, self.max_step_s.max(STEP_S));
+        check("min_step_s", self.min_step_s, LEAST_STEP_S, self.initial_step_s.max(LEAST_STEP_S));
         problems
     }
+}
+
+impl Ranged for Analysis {
+    const RANGES: &'static [Range<Self>] = &[
+        range!(max_step_s, "s", STEP_S, 1.0),
+        range!(output_step_s, "s", STEP_S, 1.0),
+        range!(hht_alpha, "", -1.0 / 3.0, 0.0),
+        range!(tolerance, "", 1e-12, 0.05),
+        range!(max_jump, "", 0.01, f64::INFINITY),
+        range!(max_iterations, "", 2.0, 1000.0),
+    ];
 }

@@ -1,9 +1,13 @@
 //! The declared column as plain data: layers, water, base, damping. Effects edit it.
 
 use super::Features;
+use crate::ranges::{Range, Ranged, outside, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
+
+/// Deepest water table, m: below every base.
+const DEEPEST_WATER_M: f64 = 1e6;
 
 /// A soil profile and how it is meshed.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -45,6 +49,16 @@ pub struct Layer {
     /// Parameters of the law, per-layer ones merged in; shared between edited profiles, of which a diagnosis makes many.
     #[schemars(with = "std::collections::BTreeMap<String, serde_json::Value>")]
     pub law: Arc<toml::Table>,
+}
+
+impl Ranged for Layer {
+    const RANGES: &'static [Range<Self>] = &[
+        range!(thickness_m, "m", 0.01, 2000.0),
+        range!(density_kg_m3, "kg/m³", 1050.0, 3500.0),
+        range!(vs_m_s, "m/s", 20.0, 5000.0),
+        range!(k0, "", 0.1, 3.0),
+        range!(fineness, "", 0.01, 100.0),
+    ];
 }
 
 /// The fineness of a layer that says nothing of it.
@@ -109,6 +123,10 @@ pub struct Rayleigh {
     pub beta_s: f64,
 }
 
+impl Ranged for Rayleigh {
+    const RANGES: &'static [Range<Self>] = &[range!(alpha_1_s, "1/s", 0.0, 100.0), range!(beta_s, "s", 0.0, 0.1)];
+}
+
 impl Rayleigh {
     /// Damping with this ratio at two angular frequencies, rad/s.
     ///
@@ -157,23 +175,15 @@ impl Profile {
 
     /// What is out of range, as (key, sentence).
     pub fn problems(&self) -> Vec<(String, String)> {
-        let mut problems = Vec::new();
-        let mut check = |key: String, value: f64, unit: &str, low: f64, high: f64| {
-            if !(value >= low && value <= high) {
-                problems.push((key, format!("must be in {low}…{high}{unit}, got {value}")));
-            }
+        let below = |place: String, found: Vec<(String, String)>| {
+            found.into_iter().map(move |(key, what)| (format!("{place}.{key}"), what))
         };
-        for (i, layer) in self.layers.iter().enumerate() {
-            let key = |name: &str| format!("layer[{}].{name}", i + 1);
-            check(key("thickness_m"), layer.thickness_m, " m", 0.01, 2000.0);
-            check(key("density_kg_m3"), layer.density_kg_m3, " kg/m³", 1050.0, 3500.0);
-            check(key("vs_m_s"), layer.vs_m_s, " m/s", 20.0, 5000.0);
-            check(key("k0"), layer.k0, "", 0.1, 3.0);
-            check(key("fineness"), layer.fineness, "", 0.01, 100.0);
-        }
-        check("water_table_m".into(), self.water_table_m, " m", 0.0, 1e6);
-        check("rayleigh.alpha_1_s".into(), self.rayleigh.alpha_1_s, " 1/s", 0.0, 100.0);
-        check("rayleigh.beta_s".into(), self.rayleigh.beta_s, " s", 0.0, 0.1);
+        let layers = self.layers.iter().enumerate();
+        let mut problems: Vec<(String, String)> =
+            layers.flat_map(|(i, layer)| below(format!("layer[{}]", i + 1), layer.beyond())).collect();
+        let water_table = outside([0.0, DEEPEST_WATER_M], "m", self.water_table_m);
+        problems.extend(water_table.map(|what| ("water_table_m".into(), format!("must be {what}"))));
+        problems.extend(below("rayleigh".into(), self.rayleigh.beyond()));
         if self.layers.is_empty() {
             problems.push(("layer".into(), "must stand at least once, surface down".into()));
         }

@@ -1,7 +1,11 @@
 //! What a diagnosis compares and how much it may name: the manifest's `[diagnose]`.
 
+use crate::ranges::{Range, Ranged, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// Least width of the band, Hz.
+const LEAST_BAND_HZ: f64 = 0.1;
 
 /// Settings of the diagnosis (manifest section `[diagnose]`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -22,15 +26,16 @@ impl Default for DiagnoseSettings {
 impl DiagnoseSettings {
     /// What is out of range, as (key, sentence).
     pub fn problems(&self) -> Vec<(String, String)> {
-        let mut problems = Vec::new();
-        let mut check = |key: &str, value: f64, unit: &str, low: f64, high: f64| {
-            if !(value >= low && value <= high) {
-                problems.push((key.to_string(), format!("must be in {low}…{high}{unit}, got {value}")));
-            }
-        };
-        check("band_hz", self.band_hz[0], " Hz", 0.01, 100.0);
-        check("band_hz", self.band_hz[1], " Hz", self.band_hz[0] + 0.1, 100.0);
-        check("max_effects", self.max_effects as f64, "", 1.0, 5.0);
+        let mut problems = self.beyond();
+        let [low, high] = self.band_hz;
+        if low + LEAST_BAND_HZ > high {
+            problems.push(("band_hz".into(), format!("must be {LEAST_BAND_HZ} Hz wide or more, got [{low}, {high}]")));
+        }
         problems
     }
+}
+
+impl Ranged for DiagnoseSettings {
+    const RANGES: &'static [Range<Self>] =
+        &[range!(each band_hz, "Hz", 0.01, 100.0), range!(max_effects, "", 1.0, 5.0)];
 }

@@ -17,6 +17,7 @@ use super::snapshot::Fingerprint;
 use crate::error::{Error, Result};
 use crate::numerics::random::stream;
 use crate::progress::Progress;
+use crate::ranges::Ranged as _;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
@@ -128,7 +129,7 @@ fn epoch(network: &Mlp, pairs: &Pairs, settings: &DistillSettings, seed: u64, st
 }
 
 fn check(model: &SourceModel, train: &[Case], validation: &[Case], settings: &DistillSettings) -> Result<usize> {
-    if let Some((key, problem)) = settings.problems().into_iter().next() {
+    if let Some((key, problem)) = settings.beyond().into_iter().next() {
         return Err(Error::new(format!("`{key}` {problem}")).usage());
     }
     let first = train.first().ok_or_else(|| Error::new("there is no training case"))?;

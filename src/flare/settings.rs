@@ -1,8 +1,16 @@
 //! The three training sections of a site manifest, with their defaults and range checks.
 
 use super::memory::Memories;
+use crate::ranges::{Range, Ranged, outside, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+/// Most states of a model, hidden ones included.
+const LATENT: usize = 32;
+/// Widest hidden layer.
+const WIDEST: f64 = 4096.0;
+/// Most epochs, and most of what is counted in them.
+const MOST: f64 = 1e6;
 
 /// Stage 1: the source model from dense simulations (`[pretrain]`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -112,47 +120,47 @@ impl Default for PretrainSettings {
 impl PretrainSettings {
     /// Every value out of range, with its key.
     pub fn problems(&self) -> Vec<(String, String)> {
-        let mut list = Problems::default();
-        list.count("window", self.window, 1, 100);
-        list.count("latent", self.latent, 1, 32);
-        if self.latent <= 32 {
-            list.count("hidden", self.hidden, 0, 32 - self.latent);
-        }
-        list.count("channels", self.channels, 1, 10_000);
-        list.real("step_s", self.step_s, "s", 1e-4, 10.0);
-        list.count("segments", self.segments, 1, 1000);
-        list.count("final_segments", self.final_segments, 1, 1000);
-        list.widths("encoder_hidden", &self.encoder_hidden);
-        list.widths("decoder_hidden", &self.decoder_hidden);
-        list.count("energy_levels", self.energy_levels, 0, 3);
-        for (key, times) in
-            [("memories.fading_s", &self.memories.fading_s), ("memories.lasting_s", &self.memories.lasting_s)]
+        let mut list = self.beyond();
+        if let Some(most) = LATENT.checked_sub(self.latent)
+            && let Some(what) = outside([0.0, most as f64], "", self.hidden as f64)
         {
-            times.iter().for_each(|t| list.real(key, *t, "s", 0.01, 1e4));
+            list.push(("hidden".into(), format!("must be {what}: `latent` and `hidden` are {LATENT} at the most")));
         }
-        list.count("epochs", self.epochs, 1, 1_000_000);
-        list.count("batch", self.batch, 1, 100_000);
-        list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
-        list.real("dynamics_learning_rate", self.dynamics_learning_rate, "", 0.0, 1.0);
-        list.real("final_rate_share", self.final_rate_share, "", 0.0, 1.0);
-        list.real("threshold", self.threshold, "1/sample", 0.0, 10.0);
-        list.real("amplitude_weighting", self.amplitude_weighting, "", 0.0, 1.0);
-        list.count("validate_every", self.validate_every, 1, 1_000_000);
-        list.count("checkpoint_every", self.checkpoint_every, 1, 1_000_000);
-        list.real("state_bound", self.state_bound, "", 1.0, 1e12);
-        list.real("stress_factor", self.stress_factor, "", 1.0, 100.0);
-        list.real("limit_factor", self.limit_factor, "", 0.0, 100.0);
-        for (key, value) in [
-            ("loss.reconstruction", self.loss.reconstruction),
-            ("loss.rollout", self.loss.rollout),
-            ("loss.latent", self.loss.latent),
-            ("loss.equation", self.loss.equation),
-            ("loss.sparsity", self.loss.sparsity),
-        ] {
-            list.real(key, value, "", 0.0, 1e6);
-        }
-        list.0
+        list
     }
+}
+
+impl Ranged for PretrainSettings {
+    const RANGES: &'static [Range<Self>] = &[
+        range!(window, "", 1.0, 100.0),
+        range!(latent, "", 1.0, LATENT as f64),
+        range!(channels, "", 1.0, 10_000.0),
+        range!(step_s, "s", 1e-4, 10.0),
+        range!(segments, "", 1.0, 1000.0),
+        range!(final_segments, "", 1.0, 1000.0),
+        range!(each encoder_hidden, "", 1.0, WIDEST),
+        range!(each decoder_hidden, "", 1.0, WIDEST),
+        range!(energy_levels, "", 0.0, 3.0),
+        range!(each memories.fading_s, "s", 0.01, 1e4),
+        range!(each memories.lasting_s, "s", 0.01, 1e4),
+        range!(epochs, "", 1.0, MOST),
+        range!(batch, "", 1.0, 1e5),
+        range!(learning_rate, "", 1e-8, 1.0),
+        range!(dynamics_learning_rate, "", 0.0, 1.0),
+        range!(final_rate_share, "", 0.0, 1.0),
+        range!(threshold, "1/sample", 0.0, 10.0),
+        range!(amplitude_weighting, "", 0.0, 1.0),
+        range!(validate_every, "", 1.0, MOST),
+        range!(checkpoint_every, "", 1.0, MOST),
+        range!(state_bound, "", 1.0, 1e12),
+        range!(stress_factor, "", 1.0, 100.0),
+        range!(limit_factor, "", 0.0, 100.0),
+        range!(loss.reconstruction, "", 0.0, 1e6),
+        range!(loss.rollout, "", 0.0, 1e6),
+        range!(loss.latent, "", 0.0, 1e6),
+        range!(loss.equation, "", 0.0, 1e6),
+        range!(loss.sparsity, "", 0.0, 1e6),
+    ];
 }
 
 /// Weights of the stage-1 loss terms (`[pretrain.loss]`).
@@ -217,19 +225,16 @@ impl Default for DistillSettings {
     }
 }
 
-impl DistillSettings {
-    /// Every value out of range, with its key.
-    pub fn problems(&self) -> Vec<(String, String)> {
-        let mut list = Problems::default();
-        list.count("window", self.window, 1, 100);
-        list.widths("hidden", &self.hidden);
-        list.count("epochs", self.epochs, 1, 1_000_000);
-        list.count("batch", self.batch, 1, 1_000_000);
-        list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
-        list.real("final_rate_share", self.final_rate_share, "", 0.0, 1.0);
-        list.real("amplitude_weighting", self.amplitude_weighting, "", 0.0, 1.0);
-        list.0
-    }
+impl Ranged for DistillSettings {
+    const RANGES: &'static [Range<Self>] = &[
+        range!(window, "", 1.0, 100.0),
+        range!(each hidden, "", 1.0, WIDEST),
+        range!(epochs, "", 1.0, MOST),
+        range!(batch, "", 1.0, MOST),
+        range!(learning_rate, "", 1e-8, 1.0),
+        range!(final_rate_share, "", 0.0, 1.0),
+        range!(amplitude_weighting, "", 0.0, 1.0),
+    ];
 }
 
 /// Stage 3: the correction of the coefficients by records (`[calibrate]`).
@@ -320,45 +325,31 @@ impl Default for CalibrateSettings {
 impl CalibrateSettings {
     /// Every value out of range, with its key.
     pub fn problems(&self) -> Vec<(String, String)> {
-        let mut list = Problems::default();
-        list.count("epochs", self.epochs, 1, 1_000_000);
-        list.real("learning_rate", self.learning_rate, "", 1e-8, 1.0);
-        list.real("final_rate_share", self.final_rate_share, "", 0.0, 1.0);
-        list.real("penalty", self.penalty, "", 0.0, 1e6);
-        list.count("penalty_ladder.length", self.penalty_ladder.len(), 1, 100);
-        self.penalty_ladder.iter().for_each(|weight| list.real("penalty_ladder", *weight, "", 0.0, 1e6));
-        list.count("free_terms.length", self.free_terms.len(), 1, 10);
-        list.count("steps", self.steps, 1, 1000);
-        list.real("threshold", self.threshold, "1/sample", 0.0, 10.0);
-        list.real("amplitude_weighting", self.amplitude_weighting, "", 0.0, 1.0);
-        list.count("validate_every", self.validate_every, 1, 1_000_000);
-        list.real("state_bound", self.state_bound, "", 1.0, 1e12);
-        list.0
+        let mut list = self.beyond();
+        let mut length = |key: &str, n: usize, most: f64| {
+            let what =
+                outside([1.0, most], "", n as f64).map(|what| (key.to_string(), format!("must have a length {what}")));
+            list.extend(what);
+        };
+        length("penalty_ladder", self.penalty_ladder.len(), 100.0);
+        length("free_terms", self.free_terms.len(), 10.0);
+        list
     }
 }
 
-#[derive(Default)]
-struct Problems(Vec<(String, String)>);
-
-impl Problems {
-    fn real(&mut self, key: &str, value: f64, unit: &str, low: f64, high: f64) {
-        if !(low..=high).contains(&value) {
-            let unit = if unit.is_empty() { String::new() } else { format!(" {unit}") };
-            self.0.push((key.to_string(), format!("must be in {low}…{high}{unit}, got {value}")));
-        }
-    }
-
-    fn count(&mut self, key: &str, value: usize, low: usize, high: usize) {
-        if !(low..=high).contains(&value) {
-            self.0.push((key.to_string(), format!("must be in {low}…{high}, got {value}")));
-        }
-    }
-
-    fn widths(&mut self, key: &str, widths: &[usize]) {
-        if let Some(width) = widths.iter().find(|w| !(1..=4096).contains(*w)) {
-            self.0.push((key.to_string(), format!("each width must be in 1…4096, got {width}")));
-        }
-    }
+impl Ranged for CalibrateSettings {
+    const RANGES: &'static [Range<Self>] = &[
+        range!(epochs, "", 1.0, MOST),
+        range!(learning_rate, "", 1e-8, 1.0),
+        range!(final_rate_share, "", 0.0, 1.0),
+        range!(penalty, "", 0.0, 1e6),
+        range!(each penalty_ladder, "", 0.0, 1e6),
+        range!(steps, "", 1.0, 1000.0),
+        range!(threshold, "1/sample", 0.0, 10.0),
+        range!(amplitude_weighting, "", 0.0, 1.0),
+        range!(validate_every, "", 1.0, MOST),
+        range!(state_bound, "", 1.0, 1e12),
+    ];
 }
 
 #[cfg(test)]
@@ -368,7 +359,7 @@ mod tests {
     #[test]
     fn defaults_are_in_range_and_all_problems_are_listed_at_once() {
         assert!(PretrainSettings::default().problems().is_empty());
-        assert!(DistillSettings::default().problems().is_empty());
+        assert!(DistillSettings::default().beyond().is_empty());
         assert!(CalibrateSettings::default().problems().is_empty());
         let wrong = PretrainSettings { latent: 40, step_s: -0.05, encoder_hidden: vec![0], ..Default::default() };
         let keys: Vec<String> = wrong.problems().into_iter().map(|(key, _)| key).collect();

@@ -1,6 +1,7 @@
 //! Range checks of the profile and checks across sections.
 
 use super::{Problem, Site, SiteSection, schema};
+use crate::ranges::Ranged as _;
 use crate::registry;
 use crate::{column, effects, soil};
 use std::collections::BTreeMap;
@@ -15,7 +16,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         ("motions", site.motions.problems()),
         ("analysis", site.analysis.problems()),
         ("pretrain", site.pretrain.problems()),
-        ("distill", site.distill.problems()),
+        ("distill", site.distill.beyond()),
         ("calibrate", site.calibrate.problems()),
         ("diagnose", site.diagnose.problems()),
         ("records", site.records.as_ref().map(|r| r.problems()).unwrap_or_default()),
@@ -61,7 +62,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
 }
 
 /// A problem whose text begins with the name of its key.
-fn named_problem(key: String, what: &str) -> Problem {
+pub(super) fn named_problem(key: String, what: &str) -> Problem {
     let name = key.rsplit('.').next().unwrap_or(&key);
     let what = if what.starts_with("must") { format!("`{name}` {what}") } else { what.into() };
     Problem::new(key, what)

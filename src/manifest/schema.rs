@@ -1,12 +1,25 @@
 //! Structure of a manifest against its JSON Schema: every unknown key, missing key and wrong type, not just the first.
 
 use super::{Problem, Site};
-use crate::registry;
+use crate::column::{Analysis, Layer, Rayleigh};
+use crate::diagnosis::DiagnoseSettings;
+use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings};
+use crate::motion::MotionSettings;
+use crate::{ranges, registry};
 use serde_json::Value as Json;
 
 /// The JSON Schema of a site manifest.
 pub fn schema() -> schemars::Schema {
-    schemars::schema_for!(Site)
+    let mut schema = schemars::schema_for!(Site).to_value();
+    ranges::describe::<Layer>(&mut schema, "LayerSection");
+    ranges::describe::<Rayleigh>(&mut schema, "Rayleigh");
+    ranges::describe::<MotionSettings>(&mut schema, "MotionSettings");
+    ranges::describe::<Analysis>(&mut schema, "Analysis");
+    ranges::describe::<PretrainSettings>(&mut schema, "PretrainSettings");
+    ranges::describe::<DistillSettings>(&mut schema, "DistillSettings");
+    ranges::describe::<CalibrateSettings>(&mut schema, "CalibrateSettings");
+    ranges::describe::<DiagnoseSettings>(&mut schema, "DiagnoseSettings");
+    schemars::Schema::try_from(schema).expect("a schema with ranges is one")
 }
 
 /// Every structural difference between `table` and the schema of [`Site`].
@@ -59,7 +72,7 @@ fn walk(root: &Json, schema: &Json, value: &toml::Value, key: String, problems: 
         return;
     }
     if let Some(what) = out_of_range(schema, value) {
-        problems.push(Problem::new(&key, format!("`{}` must be {what}, got {value}", last(&key))));
+        problems.push(Problem::new(&key, format!("`{}` must be {what}", last(&key))));
         return;
     }
     match value {
@@ -110,17 +123,11 @@ fn first_paragraph(text: &str) -> String {
     text.lines().take_while(|line| !line.trim().is_empty()).map(str::trim).collect::<Vec<_>>().join(" ")
 }
 
-/// The range of `schema`, where `value` is a number beyond it.
+/// What `value` must be by the range of `schema`, where it is a number beyond it.
 fn out_of_range(schema: &Json, value: &toml::Value) -> Option<String> {
     let number = value.as_float().or_else(|| value.as_integer().map(|i| i as f64))?;
-    let [low, high] = ["minimum", "maximum"].map(|end| schema.get(end).and_then(Json::as_f64));
-    let is_within = low.is_none_or(|low| number >= low) && high.is_none_or(|high| number <= high);
-    let text = match (low, high) {
-        (Some(low), Some(high)) => format!("in {low}…{high}"),
-        (Some(low), None) => format!("at least {low}"),
-        (_, high) => format!("at most {}", high.unwrap_or(f64::INFINITY)),
-    };
-    (!is_within).then_some(text)
+    let (ends, unit) = ranges::of_schema(schema);
+    ranges::outside(ends, unit, number)
 }
 
 fn resolve<'a>(root: &'a Json, schema: &'a Json) -> &'a Json {

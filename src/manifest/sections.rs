@@ -6,6 +6,7 @@ use crate::diagnosis::DiagnoseSettings;
 use crate::effects::Tolerances;
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings, Recipe};
 use crate::motion::MotionSettings;
+use crate::ranges::Ranged as _;
 use crate::records::RecordSettings;
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
@@ -225,8 +226,7 @@ pub struct OutputSection {
 
 /// Builds the typed sections; `None` when a section whose structure looked right cannot be read.
 ///
-/// With problems already found, the keys they name are taken out first, so that the remaining sections are still
-/// read and range-checked.
+/// With problems already found, sections that can be read all the same are still range-checked.
 pub fn build(table: &toml::Table, problems: &mut Vec<Problem>) -> Option<Site> {
     if problems.is_empty() {
         return match Site::deserialize(table.clone()) {
@@ -240,7 +240,7 @@ pub fn build(table: &toml::Table, problems: &mut Vec<Problem>) -> Option<Site> {
     ranges::<MotionSettings>(table, "motions", problems, |m| m.clone().completed().problems());
     ranges::<Analysis>(table, "analysis", problems, Analysis::problems);
     ranges::<PretrainSettings>(table, "pretrain", problems, PretrainSettings::problems);
-    ranges::<DistillSettings>(table, "distill", problems, DistillSettings::problems);
+    ranges::<DistillSettings>(table, "distill", problems, DistillSettings::beyond);
     ranges::<CalibrateSettings>(table, "calibrate", problems, CalibrateSettings::problems);
     ranges::<DiagnoseSettings>(table, "diagnose", problems, DiagnoseSettings::problems);
     ranges::<RecordSettings>(table, "records", problems, RecordSettings::problems);
@@ -260,7 +260,12 @@ fn ranges<T: DeserializeOwned>(
     problems: &mut Vec<Problem>,
     check: fn(&T) -> Vec<(String, String)>,
 ) {
-    if let Some(section) = section::<T>(table, name) {
-        problems.extend(check(&section).into_iter().map(|(key, what)| Problem::new(format!("{name}.{key}"), what)));
+    let Some(section) = section::<T>(table, name) else { return };
+    for (key, what) in check(&section) {
+        let key = format!("{name}.{key}");
+        // What the schema refused is said already.
+        if !problems.iter().any(|p| p.key.starts_with(&key)) {
+            problems.push(super::check::named_problem(key, &what));
+        }
     }
 }

@@ -1,6 +1,7 @@
 //! Manifest section `[motions]`: how many base motions, how strong, how long, with what frequencies.
 
 use super::cases::parse_cases;
+use crate::ranges::{Range, Ranged, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -63,6 +64,16 @@ pub struct Band {
     pub max_pga_g: f64,
 }
 
+impl Ranged for MotionSettings {
+    const RANGES: &'static [Range<Self>] = &[
+        range!(count, "", 1.0, 9999.0),
+        range!(step_s, "s", 1e-4, 0.05),
+        range!(duration_s, "s", 4.0, 600.0),
+        range!(low_hz, "Hz", 0.05, 5.0),
+        range!(each strong_share, "", 0.05, 0.8),
+    ];
+}
+
 impl MotionSettings {
     /// The same with bands and split where none are given.
     #[must_use]
@@ -84,23 +95,13 @@ impl MotionSettings {
 
     /// All that is wrong with the values: (dotted key, what is wrong).
     pub fn problems(&self) -> Vec<(String, String)> {
-        let mut found = Vec::new();
+        let mut found = self.beyond();
         let mut say = |key: &str, what: String| found.push((key.to_string(), what));
-        let within = |v: f64, low: f64, high: f64| v >= low && v <= high;
-        if self.count == 0 || self.count > 9999 {
-            say("count", format!("`count` must be in 1…9999, got {}", self.count));
-        }
-        if !within(self.step_s, 1e-4, 0.05) {
-            say("step_s", format!("`step_s` must be in 0.0001…0.05 s, got {}", self.step_s));
-        }
-        if !within(self.duration_s, 4.0, 600.0) {
-            say("duration_s", format!("`duration_s` must be in 4…600 s, got {}", self.duration_s));
-        }
-        if !within(self.low_hz, 0.05, 5.0) || self.low_hz * self.duration_s < 1.0 {
-            let least = (1.0 / self.duration_s).max(0.05);
+        if self.low_hz * self.duration_s < 1.0 {
+            let least = 1.0 / self.duration_s;
             say(
                 "low_hz",
-                format!("`low_hz` must be in {least:.3}…5 Hz (one period within the motion), got {}", self.low_hz),
+                format!("must be at least {least:.3} Hz (one period within the motion), got {}", self.low_hz),
             );
         }
         let nyquist_share = 0.4 / self.step_s;
@@ -125,8 +126,8 @@ impl MotionSettings {
             );
         }
         let [first, last] = self.strong_share;
-        if !(first >= 0.05 && first <= last && last <= 0.8) {
-            say("strong_share", format!("`strong_share` must rise within 0.05…0.8, got [{first}, {last}]"));
+        if first > last {
+            say("strong_share", format!("must not fall, got [{first}, {last}]"));
         }
         self.band_problems(&mut say);
         self.split_problems(&mut say);

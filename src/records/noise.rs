@@ -3,6 +3,7 @@
 use super::record::Record;
 use crate::metrics::rms;
 use crate::numerics::random;
+use crate::ranges::{Range, Ranged, range};
 use rand_distr::{Distribution, StandardNormal};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,18 +29,10 @@ impl Noise {
     pub fn standard_deviation_m_s2(&self, channel_rms_m_s2: f64) -> f64 {
         (self.rms_share * channel_rms_m_s2).hypot(self.floor_m_s2)
     }
+}
 
-    /// All that is wrong with the values: (dotted key, what is wrong).
-    pub fn problems(&self) -> Vec<(String, String)> {
-        let mut found = Vec::new();
-        if !(0.0..=1.0).contains(&self.rms_share) {
-            found.push(("rms_share".into(), format!("`rms_share` must be in 0…1, got {}", self.rms_share)));
-        }
-        if !(0.0..=1.0).contains(&self.floor_m_s2) {
-            found.push(("floor_m_s2".into(), format!("`floor_m_s2` must be in 0…1 m/s², got {}", self.floor_m_s2)));
-        }
-        found
-    }
+impl Ranged for Noise {
+    const RANGES: &'static [Range<Self>] = &[range!(rms_share, "", 0.0, 1.0), range!(floor_m_s2, "m/s²", 0.0, 1.0)];
 }
 
 /// Adds noise to every sensor, input included; the draw depends on seed, event, component and sensor only.
@@ -81,7 +74,7 @@ mod tests {
 
     #[test]
     fn levels_out_of_range_are_refused() {
-        assert!(Noise::default().problems().is_empty());
-        assert_eq!(Noise { rms_share: -0.1, floor_m_s2: f64::NAN }.problems().len(), 2);
+        assert!(Noise::default().beyond().is_empty());
+        assert_eq!(Noise { rms_share: -0.1, floor_m_s2: f64::NAN }.beyond().len(), 2);
     }
 }

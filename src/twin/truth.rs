@@ -4,6 +4,7 @@ use super::{OwnDamping, Processing, outside};
 use crate::effects;
 use crate::error::{Context, Error, Result};
 use crate::motion::{Band, MotionSettings};
+use crate::ranges::Ranged as _;
 use crate::records::Noise;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -185,8 +186,8 @@ impl Truth {
         };
         range("mesh_factor", self.mesh_factor as f64, 1.0, 8.0, "")?;
         range("max_step_s", self.max_step_s, 1e-4, 0.005, " s")?;
-        if let Some((_, what)) = self.noise.problems().into_iter().next() {
-            return Err(Error::new(what).usage());
+        if let Some((key, what)) = self.noise.beyond().into_iter().next() {
+            return Err(Error::new(format!("`{key}` {what}")).usage());
         }
         for event in &self.event {
             let place = |e: Error| e.at(format!("event `{}`", event.name));
