@@ -69,21 +69,33 @@ impl Place {
         });
         command.assert().success();
         reads_back(&out);
-        let packages = ["pandas", "mcap", "xarray"];
-        let Some(python) = python::python("export", "import pandas, mcap, xarray", &packages) else { return };
+        let packages =
+            ["pandas", "xarray", "mcap-protobuf-support", "safetensors", "matplotlib", "nbclient", "ipykernel"];
+        let imports = "import pandas, xarray, mcap_protobuf, safetensors, matplotlib, nbclient, ipykernel";
+        let Some(python) = python::python("export", imports, &packages) else { return };
         let root = Path::new(env!("CARGO_MANIFEST_DIR"));
         let script = root.join("tests/read_export.py");
         let read = std::process::Command::new(&python).arg(script).arg(&out).output().expect("python");
         assert!(read.status.success(), "{}", String::from_utf8_lossy(&read.stderr));
-        let mut package = std::process::Command::new(&python);
         let program = Path::new(env!("CARGO_BIN_EXE_flare-pipe")).parent().expect("a folder");
         let path = format!("{}:{}", program.display(), std::env::var("PATH").unwrap_or_default());
-        package.env("PATH", path).env("PYTHONPATH", root.join("python")).env("PYTHONDONTWRITEBYTECODE", "1");
-        package.current_dir(root).arg("tests/read_package.py").arg(self.path("site.toml"));
-        package.arg("--run-dir").arg(self.path("runs"));
-        FEW.iter().for_each(|f| _ = package.args(["--set", f]));
-        let opened = package.output().expect("python");
-        assert!(opened.status.success(), "{}", String::from_utf8_lossy(&opened.stderr));
+        let runs = self.path("runs").display().to_string();
+        let options: Vec<&str> =
+            ["--run-dir", &runs].into_iter().chain(FEW.iter().flat_map(|f| ["--set", *f])).collect();
+        let opens = |script: &mut std::process::Command| {
+            script.env("PATH", &path).env("PYTHONPATH", root.join("python")).env("PYTHONDONTWRITEBYTECODE", "1");
+            let opened = script.current_dir(root).output().expect("python");
+            assert!(opened.status.success(), "{}", String::from_utf8_lossy(&opened.stderr));
+        };
+        let script = |name: &str| {
+            let mut script = std::process::Command::new(&python);
+            script.arg(name);
+            script
+        };
+        opens(script("tests/read_package.py").arg(self.path("site.toml")).args(&options));
+        let mut notebook = script("tests/run_notebook.py");
+        notebook.env("FLARE_PIPE_SITE", self.path("site.toml")).env("FLARE_PIPE_OPTIONS", options.join(" "));
+        opens(notebook.arg("examples/results.ipynb"));
         let lines = String::from_utf8_lossy(&read.stdout).lines().map(str::to_string).collect::<Vec<_>>();
         assert_eq!(lines.len(), 2 * 2, "events, components: {lines:?}");
         for line in lines {

@@ -18,7 +18,7 @@ import tempfile
 
 import pandas
 
-__all__ = ["FlarePipeError", "answer", "histories", "run", "tables"]
+__all__ = ["FlarePipeError", "answer", "files", "histories", "run", "tables"]
 
 
 class FlarePipeError(RuntimeError):
@@ -61,6 +61,11 @@ def answer(site, *options):
     """``loop.json`` of a site that has been run: verdict, effects with intervals, what remains, errors of every event."""
     path = run(site, *options)["answer"]["files"]["loop"]
     return json.loads(pathlib.Path(path).read_text(encoding="utf-8"))
+
+
+def files(site, stage, *options):
+    """Paths of what a stage has stored: trajectories of ``simulate`` as MCAP, the model of ``pretrain`` as safetensors, say."""
+    return [pathlib.Path(path) for path in _said("show", "files", site, stage, *options)]
 
 
 def tables(site, *options, folder=None):

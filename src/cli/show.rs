@@ -1,6 +1,7 @@
-//! `flare-pipe show`: what is inside the trained model of a site.
+//! `flare-pipe show`: what is inside the trained model of a site, and where the files of a stage lie.
 
 use super::SiteArguments;
+use super::names::Names;
 use super::output::{data, write_json};
 use super::workspace::Workspace;
 use crate::error::{Error, Result};
@@ -20,6 +21,18 @@ pub struct ShowArguments {
 enum What {
     /// The latent equations of the source model and of each calibrated component, term by term in 1/s
     Model(ModelArguments),
+    /// The paths of what a stage has stored: trajectories of `simulate` as MCAP, the model of `pretrain` as safetensors, say
+    Files(FilesArguments),
+}
+
+/// Which site, and which stage.
+#[derive(Debug, Args)]
+struct FilesArguments {
+    #[command(flatten)]
+    site: SiteArguments,
+    /// Stage whose files are listed; one with several instances by `stage.instance`
+    #[arg(value_name = "STAGE", value_parser = Names::Stages)]
+    stage: String,
 }
 
 /// Which site, and which component.
@@ -35,10 +48,22 @@ struct ModelArguments {
 /// Prints what is asked for.
 ///
 /// # Errors
-/// When the model is not stored.
+/// When what is asked for is not stored.
 pub fn show(arguments: &ShowArguments, json: bool) -> Result<()> {
-    let What::Model(arguments) = &arguments.what;
-    model(arguments, json)
+    match &arguments.what {
+        What::Model(arguments) => model(arguments, json),
+        What::Files(arguments) => files(arguments, json),
+    }
+}
+
+/// Prints one path a line.
+fn files(arguments: &FilesArguments, json: bool) -> Result<()> {
+    let workspace = Workspace::open(&arguments.site)?;
+    let files = pipeline::files(&workspace.site(), &workspace.graph, &arguments.stage)?;
+    if json {
+        return write_json(&files);
+    }
+    files.iter().try_for_each(|path| data!("{}", path.display()))
 }
 
 /// Prints one equation a latent variable, each block under a line that starts with `#`.

@@ -37,7 +37,7 @@ pub use key::{Address, Key, OutsideFile, Parts, content_hash};
 pub use lock::{Lock, Owner};
 pub use recipe::{Recipe, RecipeStage};
 pub use reporter::{Event, Reporter};
-pub use run::{Failure, Mode, Summary, output, run};
+pub use run::{Failure, Mode, Summary, files, output, run};
 pub use site::Site;
 pub use stage::Stage;
 pub use status::{StageStatus, status};

@@ -5,8 +5,8 @@ use super::executor::{Permits, guarded};
 use super::files::remove_dir;
 use super::lock::Lease;
 use super::reporter::StageProgress;
-use super::store::Published;
-use super::{Action, Decision, Event, Graph, Lock, Options, Reason, Reporter, Site, State, Task};
+use super::store::{Outputs, Published};
+use super::{Action, Address, Decision, Event, Graph, Lock, Options, Reason, Reporter, Site, State, Task};
 use crate::error::{Error, Result};
 use std::path::PathBuf;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -110,6 +110,22 @@ pub fn output(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<PathBuf> {
         _ => Err(Error::new(format!("the output of `{stage}` is not up to date: {}", decisions[index].reason()))
             .hint(format!("`flare-pipe run` with `--until {stage}` computes it"))),
     }
+}
+
+/// Paths of what one stage has stored: its own files, then those of its items in their order.
+///
+/// # Errors
+/// When there is no such stage or its output is not stored.
+pub fn files(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<Vec<PathBuf>> {
+    let folder = output(site, graph, stage)?;
+    let store = Planner::new(site, graph, &Options::default())?.store;
+    let outputs = Outputs::read(&folder)?;
+    let mut paths: Vec<PathBuf> = outputs.files.iter().map(|file| folder.join(&file.name)).collect();
+    for address in outputs.items.iter().filter_map(|item| Address::parse(&item.entry)) {
+        let folder = store.dir(&address);
+        paths.extend(Outputs::read(&folder)?.files.iter().map(|file| folder.join(&file.name)));
+    }
+    Ok(paths)
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
