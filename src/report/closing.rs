@@ -5,7 +5,7 @@ use maud::{Markup, html};
 use crate::metrics::PairedDifference;
 
 use super::chart::{self, Axis, Column, Frame};
-use super::closing_content::{Candidate, Change, Closing, ErrorRow, Interval, NamedEffect};
+use super::closing_content::{Candidate, Change, Closing, ErrorRow, Interval, Model, NamedEffect};
 use super::content::Content;
 use super::figure::{Section, figure};
 use super::{closing_field, closing_rest, number};
@@ -93,20 +93,28 @@ fn errors(closing: &Closing) -> Markup {
     }
 }
 
+/// Indices of the models that have an error in one of the `rows`.
+fn shown(closing: &Closing, rows: &[&ErrorRow]) -> Vec<usize> {
+    (0..closing.models.len()).filter(|i| rows.iter().any(|row| error(row, *i).is_some())).collect()
+}
+
+/// Error of a model, %.
+fn error(row: &ErrorRow, model: usize) -> Option<f64> {
+    row.nrmse_percent.get(model).copied().flatten()
+}
+
 fn boxes(closing: &Closing, rows: &[&ErrorRow]) -> Markup {
-    let values: Vec<Vec<f64>> = (0..closing.models.len())
-        .map(|i| rows.iter().filter_map(|r| r.nrmse_percent.get(i).copied().flatten()).collect())
-        .collect();
-    let columns: Vec<Column> = values
-        .iter()
-        .zip(SHORT.iter().zip(COLORS))
-        .map(|(values, (label, color))| Column { label, values, color })
-        .collect();
+    let shown = shown(closing, rows);
+    let errors = |i: &usize| rows.iter().filter_map(|row| error(row, *i)).collect::<Vec<f64>>();
+    let values: Vec<Vec<f64>> = shown.iter().map(errors).collect();
+    let names: Vec<&str> = shown.iter().map(|i| closing.models[*i].name.as_str()).collect();
+    let columns: Vec<Column> =
+        values.iter().zip(&shown).map(|(values, i)| Column { label: SHORT[*i], values, color: COLORS[*i] }).collect();
     let frame = Frame {
         size: (760.0, 320.0),
-        x: Axis { label: "FE: declared, recalibrated, corrected · FLARE-T: before, after · noise floor · ceiling", range: (0.0, 8.0), log: false },
+        x: Axis { label: &names.join(" · "), range: (0.0, shown.len() as f64 + 1.0), log: false },
         y: Axis { label: "NRMSE (%)", range: chart::box_range(values.iter().map(Vec::as_slice), 0.0), log: false },
-        alt: "NRMSE over held-out events of six predictions: finite elements as declared, recalibrated and corrected, FLARE-T before and after, noise floor, ceiling".into(),
+        alt: format!("NRMSE over held-out events: {}", names.join(", ")),
     };
     let caption = html! {
         "NRMSE at every sensor of the held-out events. The credit of an effect is the step from recalibrated to corrected, not "
@@ -164,20 +172,22 @@ pub(super) fn claim(change: &Change) -> Markup {
 }
 
 fn table(closing: &Closing, rows: &[&ErrorRow], what: &str) -> Markup {
+    let shown = shown(closing, rows);
+    let models: Vec<&Model> = shown.iter().map(|i| &closing.models[*i]).collect();
     html! {
         div.scroll { table.scores {
             caption { "NRMSE (%) on " (what) "." }
-            thead { tr { th scope="col" { "Event" } th scope="col" { "Component" } th scope="col" { "Sensor" } @for model in &closing.models { th.n scope="col" { (model.name) } } } }
+            thead { tr { th scope="col" { "Event" } th scope="col" { "Component" } th scope="col" { "Sensor" } @for model in &models { th.n scope="col" { (model.name) } } } }
             tbody { @for (i, row) in rows.iter().enumerate() {
                 tr.new[i > 0 && rows[i - 1].event != row.event] {
                     td { (row.event) } td { (row.component) } td { (row.sensor) }
-                    @for value in &row.nrmse_percent { td.n { (number::optional(*value, 1)) } }
+                    @for i in &shown { td.n { (number::optional(error(row, *i), 1)) } }
                 }
             } }
             @if rows.first().is_some_and(|r| r.is_held_out) {
                 tfoot {
-                    tr { th colspan="3" { "Median" } @for model in &closing.models { td.n { (number::optional(model.median_percent, 1)) } } }
-                    tr { th colspan="3" { "Mean over events [95 %]" } @for model in &closing.models { td.n {
+                    tr { th colspan="3" { "Median" } @for model in &models { td.n { (number::optional(model.median_percent, 1)) } } }
+                    tr { th colspan="3" { "Mean over events [95 %]" } @for model in &models { td.n {
                         (number::optional(model.mean_percent, 1))
                         @if let Some([low, high]) = model.ci95_percent { br; span.soft { "[" (number::fixed(low, 1)) ", " (number::fixed(high, 1)) "]" } }
                     } } }
