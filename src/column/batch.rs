@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::numerics::lanes::Width;
 use stepper::{Outcome, Stepper};
 
-/// All motions of a column that does not move vertically and has no structure; results in their order.
+/// All motions of a column that does not move vertically; results in their order.
 pub(super) fn run(
     column: &Column,
     motions: &[BaseMotion<'_>],

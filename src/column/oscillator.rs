@@ -64,6 +64,11 @@ impl Oscillator {
         self.link / self.own * self.unbalanced
     }
 
+    /// Its own imbalance.
+    pub fn unbalanced(&self) -> f64 {
+        self.unbalanced
+    }
+
     /// Follows a correction of the surface displacement.
     pub fn correct(&mut self, surface: f64) {
         self.delta -= (self.unbalanced + self.link * surface) / self.own;

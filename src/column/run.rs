@@ -206,10 +206,9 @@ impl Column {
         self.run_all_by(motions, Width::widest(), sink)
     }
 
-    /// Whether [`Column::run_all`] takes motions side by side: nodes that move vertically are stepped motion by motion, and so are those
-    /// with a structure.
+    /// Whether [`Column::run_all`] takes motions side by side: nodes that move vertically are stepped motion by motion.
     pub fn is_batched(&self) -> bool {
-        !self.mesh.moves_vertically && self.mesh.structure.mass_kg_m2 == 0.0
+        !self.mesh.moves_vertically
     }
 
     /// [`Column::run_all`] with as many motions side by side as `width` has lanes.

@@ -65,6 +65,9 @@ fn columns() -> Vec<(&'static str, Profile, Analysis)> {
         edit(&mut found.features);
         found
     };
+    let structure =
+        |f: &mut Features| f.structure = Structure { mass_kg_m2: 5e3, frequency_hz: 4.0, damping_ratio: 0.05 };
+    let few = Analysis { max_iterations: 2, min_step_s: 1e-3, tolerance: 1e-9, ..steady.clone() };
     let undamped = "damping_ratio = 0.0\nreduce_damping = false\ngamma_ref = 2e-4";
     let zone = SofteningZone { top_m: 1.0, bottom_m: 4.0, ru_at_reference: 0.8, exponent: 1.2 };
     vec![
@@ -82,11 +85,7 @@ fn columns() -> Vec<(&'static str, Profile, Analysis)> {
         ),
         ("compliant base", edited(&|f| f.base_impedance_ratio = 0.3), steady.clone()),
         ("container", edited(&|f| f.container.stiffness_pa = 2e6), steady.clone()),
-        (
-            "structure",
-            edited(&|f| f.structure = Structure { mass_kg_m2: 5e3, frequency_hz: 4.0, damping_ratio: 0.05 }),
-            steady.clone(),
-        ),
+        ("structure", edited(&structure), steady.clone()),
         ("Rayleigh damping", Profile { rayleigh: rayleigh(0.03, 2.0, 10.0), ..plain() }, steady.clone()),
         (
             "plain Masing loops",
@@ -110,7 +109,8 @@ fn columns() -> Vec<(&'static str, Profile, Analysis)> {
             },
             steady.clone(),
         ),
-        ("too few iterations", plain(), Analysis { max_iterations: 2, min_step_s: 1e-3, tolerance: 1e-9, ..steady }),
+        ("too few iterations", plain(), few.clone()),
+        ("too few iterations for a structure", edited(&structure), few),
     ]
 }
 

@@ -1,6 +1,7 @@
 //! Increments of many motions at once.
 
 use super::super::Column;
+use super::super::oscillator::Oscillator;
 use super::super::run::Frames;
 use super::super::step::{Cut, is_front, newmark};
 use crate::numerics::lanes::{Lane, WIDEST, Width, copy, on_lanes};
@@ -43,6 +44,8 @@ pub(super) struct Stepper<'a> {
     lanes: Vec<LaneState>,
     dt_s: Vec<f64>,
     base_m_s2: Vec<f64>,
+    /// The structure on the surface of each lane, where there is one.
+    structures: Vec<Oscillator>,
     laws: Vec<(Range<usize>, Box<dyn Batch + 'a>)>,
     velocity: Vec<f64>,
     acceleration: Vec<f64>,
@@ -80,6 +83,7 @@ impl<'a> Stepper<'a> {
             lanes: (0..n).map(|_| lane()).collect(),
             dt_s: vec![1.0; n],
             base_m_s2: vec![0.0; n],
+            structures: (0..n).filter_map(|_| Oscillator::new(&mesh.structure, 0.0)).collect(),
             laws: laws.collect(),
             velocity: node.clone(),
             acceleration: node.clone(),
@@ -110,6 +114,9 @@ impl<'a> Stepper<'a> {
             *tangent = element.elastic_pa[0];
         }
         self.laws.iter_mut().for_each(|(_, law)| law.restart(lane));
+        if let (Some(own), Some(rests)) = (self.structures.get_mut(lane), Oscillator::new(&mesh.structure, base_m_s2)) {
+            *own = rests;
+        }
         let state = &mut self.lanes[lane];
         (state.scale_m_s2, state.scale_pa) = (base_m_s2.abs(), mesh.least_scale_pa());
     }
@@ -184,6 +191,8 @@ impl<'a> Stepper<'a> {
         }
         let n = begins.len();
         reset(self.width, self, begins);
+        let structures = self.structures.iter_mut().zip(begins);
+        structures.filter(|(_, begins)| **begins).for_each(|(structure, _)| structure.begin());
         let steps = Steps { lanes: begins, dt_s: &self.dt_s };
         for (own, law) in &mut self.laws {
             let shear = &mut Shear {
@@ -225,7 +234,7 @@ impl<'a> Stepper<'a> {
             state.outcome = Outcome::Accepted(state.iterations);
         } else if !share.is_finite() || state.iterations == analysis.max_iterations {
             // The first of the largest; what is no number is larger than any.
-            let mut worst = (0, 0.0f64);
+            let mut worst = (0, self.structures.get(lane).map_or(0.0, |structure| structure.unbalanced().abs()));
             for (node, traction) in self.correction.iter().skip(lane).step_by(n).enumerate() {
                 if traction.abs() > worst.1 || traction.is_nan() {
                     worst = (node, traction.abs());
@@ -244,7 +253,32 @@ impl<'a> Stepper<'a> {
         for (lane, state) in self.lanes.iter_mut().enumerate().filter(|(lane, _)| lanes[*lane]) {
             state.scale_m_s2 = state.scale_m_s2.max(self.base_m_s2[lane].abs()).max(largest_m_s2[lane]);
         }
+        let structures = self.structures.iter_mut().zip(&self.delta).zip(lanes);
+        structures.filter(|(_, is_accepted)| **is_accepted).for_each(|((own, surface), _)| own.accept(*surface));
         self.laws.iter_mut().for_each(|(_, law)| law.accept(lanes));
+    }
+
+    /// Condenses the structures out of the equations of the steps in each lane: what they add to the effective tangent and to the
+    /// unbalanced traction of the surface.
+    fn condensed(&mut self, [beta, gamma]: [f64; 2], hht: f64) -> [OfLanes; 2] {
+        let mut added = [[0.0; WIDEST]; 2];
+        for (lane, (structure, dt)) in self.structures.iter_mut().zip(&self.dt_s).enumerate() {
+            added[0][lane] = structure.condensed(1.0 / (beta * dt * dt), hht, gamma / (beta * dt));
+            added[1][lane] = structure.condensed_residual();
+        }
+        added
+    }
+
+    /// Tractions of the structures on the surface with velocity `velocity_m_s`, and their own imbalances.
+    fn tractions(&mut self, velocity_m_s: &OfLanes) -> [OfLanes; 2] {
+        let alpha = self.column.analysis.hht_alpha;
+        let mut tractions = [[0.0; WIDEST]; 2];
+        for (lane, structure) in self.structures.iter_mut().enumerate() {
+            let surface = [self.delta[lane], velocity_m_s[lane]];
+            (tractions[0][lane], tractions[1][lane]) =
+                structure.residual(self.dt_s[lane], self.base_m_s2[lane], alpha, surface);
+        }
+        tractions
     }
 
     /// Writes what there is to see in a lane to `frames`.
@@ -329,6 +363,7 @@ fn corrected<L: Lane>(s: &mut Stepper) -> OfLanes {
     let (one, zero) = (L::splat(1.0), L::splat(0.0));
     let c_mass = one / (L::splat(beta) * dt * dt);
     let c_rate = L::splat(gamma) / (L::splat(beta) * dt);
+    let [condensed, of_structure] = s.condensed([beta, gamma], 1.0 + alpha);
     let (mut stiffness_above, mut factor, mut x) = (zero, zero, zero);
     let (mut beyond, mut least) = (zero, L::splat(f64::INFINITY));
     for (i, (mass, damping)) in mesh.mass.iter().zip(&mesh.dashpot).enumerate() {
@@ -345,12 +380,17 @@ fn corrected<L: Lane>(s: &mut Stepper) -> OfLanes {
                 - L::splat(e.coupling_kg_m2[0]) * c_mass;
             diagonal = diagonal + stiffness;
         }
+        let mut unbalanced = L::load(&s.correction[row.clone()]);
+        if i == 0 {
+            diagonal = diagonal + L::load(&condensed);
+            unbalanced = unbalanced + L::load(&of_structure);
+        }
         let below = -stiffness;
         let above = -stiffness_above;
         let inverse = one / (diagonal - above * factor);
         beyond = beyond + inverse * zero;
         least = inverse.abs().min(least);
-        x = inverse * (L::load(&s.correction[row.clone()]) - above * x);
+        x = inverse * (unbalanced - above * x);
         factor = inverse * below;
         x.store(&mut s.correction[row.clone()]);
         factor.store(&mut s.factor[row]);
@@ -371,6 +411,9 @@ fn corrected<L: Lane>(s: &mut Stepper) -> OfLanes {
         }
         displacement_below = displacement;
     }
+    let mut surface = [0.0; WIDEST];
+    x.store(&mut surface);
+    s.structures.iter_mut().zip(surface).for_each(|(structure, surface)| structure.correct(surface));
     let mut all = [0.0; WIDEST];
     (least + beyond).store(&mut all);
     all
@@ -410,6 +453,14 @@ fn unbalanced<L: Lane>(s: &mut Stepper) -> [OfLanes; 2] {
             // What is no number is left out.
             dynamic = tau.abs().max(dynamic);
             tau_above = tau;
+        }
+        if i == 0 && !s.structures.is_empty() {
+            let mut velocity_m_s = [0.0; WIDEST];
+            v.store(&mut velocity_m_s);
+            let [traction, imbalance] = s.tractions(&velocity_m_s).map(|of| L::load(&of));
+            force = force - traction;
+            size = imbalance.abs();
+            beyond = beyond + imbalance * zero;
         }
         force.store(&mut s.trial_force[row.clone()]);
         let inertia = L::splat(mesh.mass[i][0]) * (a + base) + (pull - pull_above);
