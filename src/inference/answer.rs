@@ -110,7 +110,6 @@ impl<'a> Answer<'_, 'a> {
             answer = sure.unwrap_or(plain);
             rest = self.rest(answer, is_unnamed);
         }
-        let named = if is_ambiguous { self.claimed_kinds(answer) } else { known.clone() };
         let verdict = match sure {
             _ if is_ambiguous => Verdict::Ambiguous,
             Some(_) => Verdict::Known,
@@ -119,6 +118,10 @@ impl<'a> Answer<'_, 'a> {
         };
         let is_named = matches!(verdict, Verdict::Known | Verdict::Ambiguous);
         let ambiguity = if is_ambiguous { alternatives(&mass, &known) } else { Vec::new() };
+        // What the model that is applied has besides these is not named.
+        let mut sure_kinds = known.clone();
+        let is_named_kind = |kind: &&str| is_taken(&mut sure_kinds, kind) || ambiguity.iter().any(|k| k == kind);
+        let named = self.claimed_kinds(answer).into_iter().filter(is_named_kind).collect();
         let open =
             (verdict == Verdict::Known).then(|| self.open_places(&known).into_iter().chain(besides(&mass, &known)));
         let members = self.members(answer);

@@ -36,10 +36,10 @@ fn headline(closing: &Closing) -> String {
         "ambiguous" => {
             let kinds: Vec<String> = closing.ambiguity.iter().map(|(kind, _)| words(kind)).collect();
             let known = if sure.is_empty() { String::new() } else { format!("Known: {}. ", said(&sure)) };
+            let applied = if open.is_empty() { "none of them".into() } else { said(&open) };
             format!(
-                "{known}Ambiguous: one of {}, which these records cannot tell apart; applied: {}.",
-                kinds.join(", "),
-                said(&open)
+                "{known}Ambiguous: one of {}, which these records cannot tell apart; applied: {applied}.",
+                kinds.join(", ")
             )
         }
         _ => "Unknown: the records hold structure that no named effect explains; nothing was corrected.".into(),
@@ -117,6 +117,8 @@ mod tests {
     fn what_is_one_of_several_is_not_said_to_be_known() {
         let key = |kind: &str| (kind.to_string(), "damping at higher frequencies".to_string());
         let ambiguity = vec![key("small_strain_damping"), key("frequency_dependent_damping")];
+        let none = answer(&Closing { ambiguity: ambiguity.clone(), effects: Vec::new(), ..closing("ambiguous") });
+        assert!(none[0].starts_with("Ambiguous: one of") && none[0].ends_with("applied: none of them."), "{}", none[0]);
         let lines = answer(&Closing { ambiguity, ..closing("ambiguous") });
         assert!(lines[0].starts_with("Known: Vs of 0.0–6.0 m"), "{}", lines[0]);
         assert!(
