@@ -27,7 +27,7 @@ use kinds::{Masses, alternatives, besides, has_all, is_taken, known_kinds};
 use residuals::{Residuals, closest_to_mean};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Largest probability that nothing is missing beside which an effect is named.
+/// Probability up to which a model does not count: that nothing is missing where an effect is named, say.
 pub(super) const NOTHING: f64 = 0.05;
 /// Widths of priors, over what they are, with which values are found again.
 const PRIOR_RATIOS: [f64; 2] = [0.5, 2.0];
@@ -98,7 +98,8 @@ impl<'a> Answer<'_, 'a> {
         let sure = self.sure(&known).filter(|_| is_missing);
         // Something besides is surely there, and no name for it is sure.
         let is_more = is_missing && mass.get(&known).copied().unwrap_or(0.0) < NOTHING;
-        let with_known = self.closest_to_mean(|fit| has_all(&self.claimed_kinds(fit), &known)).unwrap_or(best);
+        let has_known = |fit: &Fit<'a>| has_all(&self.claimed_kinds(fit), &known);
+        let with_known = self.closest_to_mean(has_known).or(self.competition.best_of(has_known)).unwrap_or(best);
         // A response without a name is one of the models: where it is needed, something remains whatever is named.
         let unnamed = self.probabilities().filter(|(fit, _)| !fit.model.is_named()).map(|(_, p)| p).sum::<f64>();
         let is_unnamed = unnamed > 0.5;
@@ -154,13 +155,15 @@ impl<'a> Answer<'_, 'a> {
         self.competition.best_of(|fit| !known.is_empty() && self.claimed_kinds(fit) == known)
     }
 
-    /// The one of the models that `is_meant` takes whose prediction is closest to the mean over all models by their probability, in shares
-    /// of the power of the records: that of the least expected square error. Where effects do alike, the mean has what they do and none of
-    /// them is probable by itself, so that a model of the probable ones alone predicts worse than any that has one of them.
+    /// The one of the probable models that `is_meant` takes whose prediction is closest to the mean over all models by their probability,
+    /// in shares of the power of the records: that of the least expected square error. Where effects do alike, the mean has what they do
+    /// and none of them is probable by itself, so that a model of the probable ones alone predicts worse than any that has one of them. A
+    /// model that has several of them may be closer to the mean still; where it is not probable itself, it is no answer.
     ///
     /// Source: Barbieri et al. (2021), doi 10.1214/20-BA1249, for models of what is probable where effects do alike.
     fn closest_to_mean(&self, is_meant: impl Fn(&Fit<'a>) -> bool) -> Option<&Fit<'a>> {
-        let meant: Vec<&Fit<'a>> = self.competition.fits.iter().filter(|fit| is_meant(fit)).collect();
+        let probable = self.probabilities().filter(|(_, p)| *p > NOTHING).map(|(fit, _)| fit);
+        let meant: Vec<&Fit<'a>> = probable.filter(|fit| is_meant(fit)).collect();
         let candidates: Vec<Residuals> = meant.iter().map(|fit| self.residuals(fit)).collect();
         let all = self.probabilities().map(|(fit, p)| (Residuals::of(&fit.prediction), p));
         closest_to_mean(&candidates, all).map(|i| meant[i])

@@ -50,8 +50,8 @@ pub(super) fn picture(content: &Content) -> Option<Markup> {
     let is_marked = elsewhere.len() < effects.len();
     let caption = html! {
         "Layers with their laws and sensors (● output, ▲ input, which shakes the base), and shear-wave velocity over depth"
-        @if site.water_table_m.is_some() { "; the blue line is the water table" }
         @if site.profiles.iter().any(|p| !p.bands.is_empty()) { ", shaded within its 95 % interval" }
+        @if site.water_table_m.is_some() { "; the blue line is the water table" }
         @if is_marked { "; a named effect is marked in red where it sits" } "."
         @if !elsewhere.is_empty() { " Of the whole column or its base: " (listed(&elsewhere)) "." }
     };
@@ -154,7 +154,11 @@ fn layers(drawing: &mut Drawing, site: &SiteView) {
         );
         if bottom - top > LINE_PX {
             drawing.svg.push_str(r#"<g class="on-tint">"#);
-            let (x, y) = (0.5 * (COLUMN_PX[0] + COLUMN_PX[1]), 0.5 * (top + bottom) + 4.0);
+            let x = 0.5 * (COLUMN_PX[0] + COLUMN_PX[1]);
+            // The water table is not to cross the name.
+            let middle = 0.5 * (top + bottom);
+            let is_crossed = site.water_table_m.is_some_and(|depth_m| (y_px(site, depth_m) - middle).abs() < LINE_PX);
+            let y = middle + if is_crossed && bottom - middle > LINE_PX { LINE_PX } else { 4.0 };
             drawing.text(x, y, "middle", &layer.law.replace('_', " "));
             drawing.svg.push_str("</g>");
         }
