@@ -11,6 +11,8 @@ pub struct Range<T> {
     pub unit: &'static str,
     /// Smallest and largest value.
     pub ends: [f64; 2],
+    /// Whether it is of every value of a list.
+    pub is_list: bool,
     /// The values of that key.
     pub values: fn(&T) -> Vec<f64>,
 }
@@ -22,6 +24,7 @@ macro_rules! range {
             key: $crate::ranges::joined!($($part).+),
             unit: $unit,
             ends: [$low, $high],
+            is_list: true,
             values: |of| of.$($part).+.iter().map(|value| *value as f64).collect(),
         }
     };
@@ -30,6 +33,7 @@ macro_rules! range {
             key: $crate::ranges::joined!($($part).+),
             unit: $unit,
             ends: [$low, $high],
+            is_list: false,
             values: |of| vec![of.$($part).+ as f64],
         }
     };
@@ -50,10 +54,12 @@ pub trait Ranged: JsonSchema + Sized + 'static {
     /// What is beyond its range, as (key, sentence).
     fn beyond(&self) -> Vec<(String, String)> {
         let of = |range: &Range<Self>| {
-            let beyond = |value: f64| {
-                Some((range.key.to_string(), format!("must be {}", outside(range.ends, range.unit, value)?)))
+            let beyond = |(i, value): (usize, f64)| {
+                let what = outside(range.ends, range.unit, value)?;
+                let place = if range.is_list { format!("[{}]", i + 1) } else { String::new() };
+                Some((format!("{}{place}", range.key), format!("must be {what}")))
             };
-            (range.values)(self).into_iter().filter_map(beyond).collect::<Vec<_>>()
+            (range.values)(self).into_iter().enumerate().filter_map(beyond).collect::<Vec<_>>()
         };
         Self::RANGES.iter().flat_map(of).collect()
     }
@@ -142,7 +148,7 @@ mod tests {
         assert!(of(0.1, &[1, 9]).is_empty());
         let texts: Vec<String> =
             of(f64::NAN, &[3, 10]).into_iter().map(|(key, what)| format!("{key} {what}")).collect();
-        assert_eq!(texts, ["step_s must be in 0.1…2 s, got NaN", "inner.widths must be in 1…9, got 10"]);
+        assert_eq!(texts, ["step_s must be in 0.1…2 s, got NaN", "inner.widths[2] must be in 1…9, got 10"]);
         let mut schema = schemars::schema_for!(Vec<Outer>).to_value();
         describe::<Outer>(&mut schema, "Outer");
         assert_eq!(of_schema(&schema["$defs"]["Outer"]["properties"]["step_s"]), ([0.1, 2.0], "s"));

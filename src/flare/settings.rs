@@ -363,7 +363,7 @@ mod tests {
         assert!(CalibrateSettings::default().problems().is_empty());
         let wrong = PretrainSettings { latent: 40, step_s: -0.05, encoder_hidden: vec![0], ..Default::default() };
         let keys: Vec<String> = wrong.problems().into_iter().map(|(key, _)| key).collect();
-        assert_eq!(keys, ["latent", "step_s", "encoder_hidden"]);
+        assert_eq!(keys, ["latent", "step_s", "encoder_hidden[1]"]);
     }
 
     #[test]

@@ -8,7 +8,7 @@ use crate::motion::MotionSettings;
 use crate::{ranges, registry};
 use serde_json::Value as Json;
 
-/// The JSON Schema of a site manifest.
+/// The JSON Schema of a site manifest, ranges of its numbers included.
 pub fn schema() -> schemars::Schema {
     let mut schema = schemars::schema_for!(Site).to_value();
     ranges::describe::<Layer>(&mut schema, "LayerSection");
@@ -22,9 +22,10 @@ pub fn schema() -> schemars::Schema {
     schemars::Schema::try_from(schema).expect("a schema with ranges is one")
 }
 
-/// Every structural difference between `table` and the schema of [`Site`].
+/// Every structural difference between `table` and the schema of [`Site`]; ranges are checked where it can be read, with what needs more
+/// than one section.
 pub fn compare(table: &toml::Table) -> Vec<Problem> {
-    compare_with(schema(), table, "")
+    compare_with(schemars::schema_for!(Site), table, "")
 }
 
 /// Every structural difference between the table at `key` and the `schema` of what it builds.

@@ -226,7 +226,8 @@ pub struct OutputSection {
 
 /// Builds the typed sections; `None` when a section whose structure looked right cannot be read.
 ///
-/// With problems already found, sections that can be read all the same are still range-checked.
+/// With problems already found, the keys they name are taken out first, so that the remaining sections are still
+/// read and range-checked.
 pub fn build(table: &toml::Table, problems: &mut Vec<Problem>) -> Option<Site> {
     if problems.is_empty() {
         return match Site::deserialize(table.clone()) {
@@ -260,12 +261,8 @@ fn ranges<T: DeserializeOwned>(
     problems: &mut Vec<Problem>,
     check: fn(&T) -> Vec<(String, String)>,
 ) {
-    let Some(section) = section::<T>(table, name) else { return };
-    for (key, what) in check(&section) {
-        let key = format!("{name}.{key}");
-        // What the schema refused is said already.
-        if !problems.iter().any(|p| p.key.starts_with(&key)) {
-            problems.push(super::check::named_problem(key, &what));
-        }
+    if let Some(section) = section::<T>(table, name) {
+        let named = |(key, what): (String, String)| super::check::named_problem(format!("{name}.{key}"), &what);
+        problems.extend(check(&section).into_iter().map(named));
     }
 }
