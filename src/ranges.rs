@@ -55,14 +55,18 @@ pub trait Ranged: JsonSchema + Sized + 'static {
     fn beyond(&self) -> Vec<(String, String)> {
         let of = |range: &Range<Self>| {
             let beyond = |(i, value): (usize, f64)| {
-                let what = outside(range.ends, range.unit, value)?;
                 let place = if range.is_list { format!("[{}]", i + 1) } else { String::new() };
-                Some((format!("{}{place}", range.key), format!("must be {what}")))
+                problem(&format!("{}{place}", range.key), range.ends, range.unit, value)
             };
             (range.values)(self).into_iter().enumerate().filter_map(beyond).collect::<Vec<_>>()
         };
         Self::RANGES.iter().flat_map(of).collect()
     }
+}
+
+/// The value of `key` beyond `ends`, as (key, sentence); none for one within.
+pub fn problem(key: &str, ends: [f64; 2], unit: &str, value: f64) -> Option<(String, String)> {
+    outside(ends, unit, value).map(|what| (key.to_string(), format!("must be {what}")))
 }
 
 /// What a number beyond `ends` must be, in words with its unit; none for one within.

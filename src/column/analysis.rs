@@ -1,6 +1,6 @@
 //! How the column is stepped through time: the manifest's `[analysis]`.
 
-use crate::ranges::{Range, Ranged, outside, range};
+use crate::ranges::{Range, Ranged, problem, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -91,12 +91,10 @@ impl Analysis {
     /// What is out of range, as (key, sentence).
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut problems = self.beyond();
-        let mut check = |key: &str, value: f64, low: f64, high: f64| {
-            let what = outside([low, high], "s", value).map(|what| (key.to_string(), format!("must be {what}")));
-            problems.extend(what);
-        };
-        check("initial_step_s", self.initial_step_s, STEP_S, self.max_step_s.max(STEP_S));
-        check("min_step_s", self.min_step_s, LEAST_STEP_S, self.initial_step_s.max(LEAST_STEP_S));
+        let initial_s = [STEP_S, self.max_step_s.max(STEP_S)];
+        problems.extend(problem("initial_step_s", initial_s, "s", self.initial_step_s));
+        let least_s = [LEAST_STEP_S, self.initial_step_s.max(LEAST_STEP_S)];
+        problems.extend(problem("min_step_s", least_s, "s", self.min_step_s));
         problems
     }
 }

@@ -1,7 +1,7 @@
 //! The declared column as plain data: layers, water, base, damping. Effects edit it.
 
 use super::Features;
-use crate::ranges::{Range, Ranged, outside, range};
+use crate::ranges::{Range, Ranged, problem, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -181,8 +181,7 @@ impl Profile {
         let layers = self.layers.iter().enumerate();
         let mut problems: Vec<(String, String)> =
             layers.flat_map(|(i, layer)| below(format!("layer[{}]", i + 1), layer.beyond())).collect();
-        let water_table = outside([0.0, DEEPEST_WATER_M], "m", self.water_table_m);
-        problems.extend(water_table.map(|what| ("water_table_m".into(), format!("must be {what}"))));
+        problems.extend(problem("water_table_m", [0.0, DEEPEST_WATER_M], "m", self.water_table_m));
         problems.extend(below("rayleigh".into(), self.rayleigh.beyond()));
         if self.layers.is_empty() {
             problems.push(("layer".into(), "must stand at least once, surface down".into()));

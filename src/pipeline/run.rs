@@ -98,6 +98,12 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
 /// When there is no such stage or its output is not stored.
 pub fn output(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<PathBuf> {
     let planner = Planner::new(site, graph, &Options::default())?;
+    let address = stored(&planner, graph, stage)?;
+    Ok(planner.store.dir(&address))
+}
+
+/// Where the output of one stage is stored.
+fn stored(planner: &Planner<'_>, graph: &Graph, stage: &str) -> Result<Address> {
     let index = match graph.select(stage)?.into_iter().collect::<Vec<_>>().as_slice() {
         [one] => *one,
         _ => {
@@ -106,7 +112,7 @@ pub fn output(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<PathBuf> {
     };
     let (decisions, resolved) = planner.plan()?;
     match (&decisions[index].action, &resolved[index]) {
-        (Action::Cached, Some(known)) => Ok(planner.store.dir(&known.address)),
+        (Action::Cached, Some(known)) => Ok(known.address.clone()),
         _ => Err(Error::new(format!("the output of `{stage}` is not up to date: {}", decisions[index].reason()))
             .hint(format!("`flare-pipe run` with `--until {stage}` computes it"))),
     }
@@ -117,15 +123,16 @@ pub fn output(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<PathBuf> {
 /// # Errors
 /// When there is no such stage or its output is not stored.
 pub fn files(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<Vec<PathBuf>> {
-    let folder = output(site, graph, stage)?;
-    let store = Planner::new(site, graph, &Options::default())?.store;
-    let outputs = Outputs::read(&folder)?;
-    let mut paths: Vec<PathBuf> = outputs.files.iter().map(|file| folder.join(&file.name)).collect();
-    for address in outputs.items.iter().filter_map(|item| Address::parse(&item.entry)) {
-        let folder = store.dir(&address);
-        paths.extend(Outputs::read(&folder)?.files.iter().map(|file| folder.join(&file.name)));
-    }
-    Ok(paths)
+    let planner = Planner::new(site, graph, &Options::default())?;
+    let read = |address: &Address| {
+        let folder = planner.store.dir(address);
+        Outputs::read(&folder).map(|outputs| (folder, outputs))
+    };
+    let own = read(&stored(&planner, graph, stage)?)?;
+    let addresses = own.1.items.iter().filter_map(|item| Address::parse(&item.entry));
+    let items = addresses.map(|address| read(&address)).collect::<Result<Vec<_>>>()?;
+    let all = std::iter::once(own).chain(items);
+    Ok(all.flat_map(|(folder, outputs)| outputs.files.into_iter().map(move |file| folder.join(file.name))).collect())
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

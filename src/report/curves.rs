@@ -20,7 +20,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
     if shown.is_empty() {
         return None;
     }
-    let keys: Vec<Key> = shown.iter().map(|m| Key { name: m.name, color: m.color, dash: m.dash }).collect();
+    let keys: Vec<Key> = shown.iter().map(models::Model::key).collect();
     let largest = all.iter().flat_map(|c| &c.damping_percent).copied().fold(1.0, f64::max);
     let pictures = html! {
         @for depth_m in &depths_m {

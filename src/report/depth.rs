@@ -23,7 +23,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
     if shown.is_empty() {
         return None;
     }
-    let keys: Vec<Key> = shown.iter().map(|(_, m)| Key { name: m.name, color: m.color, dash: m.dash }).collect();
+    let keys: Vec<Key> = shown.iter().map(|(_, m)| m.key()).collect();
     let has_pressure = shown.iter().flat_map(|(d, _)| &d.pore_ratio).any(|r| *r > LEAST_RATIO);
     let mut panels: Vec<Panel> = vec![
         ("Peak acceleration (g)", |d| &d.pga_g),

@@ -1,6 +1,7 @@
 //! Names, colours and dashes of the record and the models, everywhere the same.
 
 use super::chart;
+use super::figure::Key;
 
 /// How a model is drawn and called.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,6 +13,13 @@ pub(super) struct Model {
     pub width: f64,
     /// Whether it is shown until a reader chooses otherwise.
     pub is_shown: bool,
+}
+
+impl Model {
+    /// What a legend shows for it.
+    pub(super) fn key(&self) -> Key<'static> {
+        Key { name: self.name, color: self.color, dash: self.dash }
+    }
 }
 
 const fn model(key: &'static str, name: &'static str, color: &'static str, dash: Option<&'static str>) -> Model {

@@ -40,10 +40,8 @@ pub(super) fn section(content: &Content) -> Option<Section> {
 /// The soil column beside its velocities, the places of named effects marked.
 pub(super) fn picture(content: &Content) -> Option<Markup> {
     let site = content.site_view.as_ref()?;
-    let keys: Vec<Key> = models::among(site.profiles.iter().map(|p| p.model.as_str()))
-        .into_iter()
-        .map(|m| Key { name: m.name, color: m.color, dash: m.dash })
-        .collect();
+    let keys: Vec<Key> =
+        models::among(site.profiles.iter().map(|p| p.model.as_str())).into_iter().map(|m| m.key()).collect();
     let effects = content.closing.as_ref().map_or(&[][..], |closing| &closing.effects);
     let elsewhere: Vec<String> =
         effects.iter().filter(|e| place(site, e) == Place::Elsewhere).map(|e| words(&e.kind)).collect();

@@ -4,7 +4,7 @@ use maud::{Markup, html};
 
 use super::chart::{self, Axis, Curve, Frame};
 use super::content::Content;
-use super::figure::{Key, Section, figure, legend};
+use super::figure::{Section, figure, legend};
 use super::models::{self, Model};
 use super::number;
 use super::site_content::{ResidualView, TransferView};
@@ -16,7 +16,7 @@ pub(super) fn section(content: &Content) -> Option<Section> {
     }
     let keys = content.transfers.iter().flat_map(|t| &t.predicted_ln).map(|(m, _)| m.as_str());
     let keys = keys.chain(content.residuals.iter().flat_map(|r| &r.models).map(|(m, ..)| m.as_str())).chain(["record"]);
-    let of = |m: &Model| Key { name: m.name, color: m.color, dash: m.dash };
+    let of = Model::key;
     let keys = models::among(keys);
     let body = html! {
         (legend(&keys.iter().map(of).collect::<Vec<_>>()))
