@@ -75,7 +75,8 @@ pub fn outside([low, high]: [f64; 2], unit: &str, value: f64) -> Option<String> 
     let range = match (low.is_finite(), high.is_finite()) {
         (true, true) => format!("in {low}…{high}{unit}"),
         (true, false) => format!("at least {low}{unit}"),
-        _ => format!("at most {high}{unit}"),
+        (false, true) => format!("at most {high}{unit}"),
+        (false, false) => format!("a number{unit}"),
     };
     (!(low..=high).contains(&value)).then(|| format!("{range}, got {value}"))
 }

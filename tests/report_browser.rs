@@ -2,7 +2,6 @@
 
 mod report_sample;
 
-use flare_pipe::report;
 use serde::Deserialize;
 use std::path::Path;
 use std::process::{Command, Output};
@@ -92,7 +91,7 @@ fn a_browser_shows_every_section_without_complaint() {
     let stages = ["stage-1", "stage-2", "stage-3", "stage-3-2", "motions", "provenance"];
     let closed = ["site", "depth", "events-table", "spectra", "transfer", "residual"];
     for (content, more) in [(report_sample::content(), &[][..]), (report_sample::closed(), &closed[..])] {
-        std::fs::write(&page, report::render(&content).unwrap()).unwrap();
+        std::fs::write(&page, report_sample::page(&content, report_sample::COMMAND)).unwrap();
         let out = open(browser, folder.path(), &page, &["--dump-dom"]);
         let dom = String::from_utf8_lossy(&out.stdout);
         for id in common.iter().chain(&stages).chain(more) {
@@ -108,7 +107,7 @@ fn a_browser_shows_every_section_without_complaint() {
 #[test]
 fn figures_are_whole_and_legible_on_every_screen() {
     let Some(browser) = browser() else { return };
-    let html = report::render(&report_sample::closed()).unwrap();
+    let html = report_sample::page(&report_sample::closed(), report_sample::COMMAND);
     for (what, is_phone, arguments) in
         [("light", false, &[][..]), ("dark", false, &["--blink-settings=preferredColorScheme=0"]), ("phone", true, &[])]
     {
@@ -134,7 +133,7 @@ fn all_of_it_is_printed() {
     let folder = tempfile::tempdir().unwrap();
     let [page, pdf] = ["report.html", "report.pdf"].map(|name| folder.path().join(name));
     let content = report_sample::closed();
-    std::fs::write(&page, report::render(&content).unwrap()).unwrap();
+    std::fs::write(&page, report_sample::page(&content, report_sample::COMMAND)).unwrap();
     open(browser, folder.path(), &page, &[&format!("--print-to-pdf={}", pdf.display())]);
     let code = "import sys, pypdf; print(chr(12).join(p.extract_text() for p in pypdf.PdfReader(sys.argv[1]).pages))";
     let out = Command::new(python).args(["-c", code]).arg(&pdf).output().unwrap();

@@ -72,10 +72,10 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
     let range = |values: &[f64]| values.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));
     let (least, largest) = range(&moduli);
     say!("  small-strain shear modulus: {:.1}–{:.1} MPa", least / 1e6, largest / 1e6);
-    let coarsest = layers.iter().enumerate().min_by(|a, b| a.1.highest_hz.total_cmp(&b.1.highest_hz));
-    if let Some((i, layer)) = coarsest {
+    say!("  ten elements in a wavelength up to");
+    for (i, layer) in layers.iter().enumerate() {
         say!(
-            "  ten elements in a wavelength up to {:.1} Hz, in `site.layer[{}]` ({} m thick, elements of {:.2} m)",
+            "    {:.1} Hz in `site.layer[{}]`: {} m thick, elements of {:.2} m",
             layer.highest_hz,
             i + 1,
             layer.thickness_m,

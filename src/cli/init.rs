@@ -10,6 +10,9 @@ use serde_json::json;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+/// Events of a manifest: one to learn from and one to validate with.
+const LEAST_EVENTS: usize = 2;
+
 /// Name, profile and records.
 #[derive(Debug, Args)]
 pub struct InitArguments {
@@ -81,6 +84,12 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     if let Some(folder) = folder.as_ref().filter(|folder| !folder.says_unit && unit.is_none()) {
         let hint = "add `--unit g`, `--unit gal` or `--unit m/s2`";
         let what = format!("the records in `{}` do not say their unit", folder.dir.display());
+        return Err(Error::new(what).hint(hint).usage());
+    }
+    if let Some(folder) = folder.as_ref().filter(|folder| folder.events.len() < LEAST_EVENTS) {
+        let what = format!("the records in `{}` are of {} event", folder.dir.display(), folder.events.len());
+        let hint = "at least two are needed, one to learn from and one to validate with, and a third, held out, to tell what \
+                    a correction is worth";
         return Err(Error::new(what).hint(hint).usage());
     }
     if let Some(folder) = folder.as_ref().filter(|folder| !folder.vertical.is_empty()) {

@@ -11,6 +11,7 @@ mod names;
 mod output;
 mod power;
 mod predict;
+mod publish;
 mod records;
 mod report;
 mod reporter;

@@ -2,8 +2,8 @@
 
 use super::SiteArguments;
 use super::output::{data, write_json};
+use super::publish::publish;
 use super::reporter::{Terminal, Verbosity};
-use super::run::publish_metrics;
 use super::workspace::Workspace;
 use crate::error::Result;
 use crate::pipeline::{self, Mode, Options};
@@ -22,7 +22,7 @@ pub fn report(arguments: &SiteArguments, json: bool) -> Result<()> {
     if let Some(failure) = summary.failures.into_iter().next() {
         return Err(failure.error);
     }
-    publish_metrics(&workspace)?;
+    publish(&workspace)?;
     let path = site.dir().join("report.html");
     if json { write_json(&json!({ "report": path })) } else { data!("{}", path.display()) }
 }

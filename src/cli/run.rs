@@ -3,13 +3,13 @@
 use super::SiteArguments;
 use super::names::Names;
 use super::output::{data, say, write_json};
+use super::publish::publish;
 use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
 use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
-use crate::error::{Context, Error, Result};
-use crate::pipeline::{self, Action, Mode, Options, Summary, write_if_changed};
+use crate::error::{Error, Result};
+use crate::pipeline::{self, Action, Mode, Options, Summary};
 use crate::progress::Quiet;
-use crate::stages::correct;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
 use std::path::PathBuf;
@@ -126,8 +126,7 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     let terminal = Terminal::new(arguments.verbosity());
     let start = std::time::Instant::now();
     let mut summary = pipeline::run(&site, &workspace.graph, &options, Mode::Run, &terminal)?;
-    publish_metrics(&workspace)?;
-    publish_correction(&workspace)?;
+    publish(&workspace)?;
     let answer = Answer::of(&workspace);
     if json {
         print_json(&summary, Some(&answer))?;
@@ -187,49 +186,4 @@ fn print_json(summary: &Summary, answer: Option<&Answer>) -> Result<()> {
         outcome["answer"] = json!({ "verdict": verdict, "lines": lines, "files": files });
     }
     write_json(&outcome)
-}
-
-/// `site.corrected.toml`: the manifest with the sections that the stage `correct` wrote, a site of its own that runs by
-/// itself; gone where nothing was corrected.
-fn publish_correction(workspace: &Workspace) -> Result<()> {
-    let site = workspace.site();
-    let Ok(folder) = pipeline::output(&site, &workspace.graph, "correct") else { return Ok(()) };
-    let path = folder.join(correct::FILE);
-    let text = std::fs::read_to_string(&path).context(|| format!("cannot read `{}`", path.display()))?;
-    let sections: toml::Table = toml::from_str(&text).context(|| format!("`{}` is no TOML", path.display()))?;
-    let published = site.dir().join("site.corrected.toml");
-    if sections.iter().all(|(name, section)| workspace.table.get(name) == Some(section)) {
-        if published.is_file() {
-            std::fs::remove_file(&published).context(|| format!("cannot remove `{}`", published.display()))?;
-        }
-        return Ok(());
-    }
-    let mut manifest = workspace.table.clone();
-    manifest.extend(sections);
-    manifest.insert("name".into(), format!("{}-corrected", site.name).into());
-    let head = format!(
-        "# Site `{}` as its records ask for it: declared values recalibrated first, then the effects that were named.\n\
-         # Written by flare-pipe.\n",
-        site.name
-    );
-    write_if_changed(&published, (head + &manifest.to_string()).as_bytes())?;
-    Ok(())
-}
-
-/// `metrics.json`: what the report stage computed, and how long each stage took whenever it ran.
-pub fn publish_metrics(workspace: &Workspace) -> Result<()> {
-    let site = workspace.site();
-    let Ok(folder) = pipeline::output(&site, &workspace.graph, "report") else { return Ok(()) };
-    let path = folder.join("metrics.json");
-    let bytes = std::fs::read(&path).context(|| format!("cannot read `{}`", path.display()))?;
-    let mut metrics: Map<String, Value> =
-        serde_json::from_slice(&bytes).context(|| format!("`{}` is no JSON object", path.display()))?;
-    let timings: Map<String, Value> = pipeline::status(&site, &workspace.graph)?
-        .into_iter()
-        .filter_map(|s| Some((s.stage, json!(s.seconds?))))
-        .collect();
-    metrics.insert("timings_s".into(), Value::Object(timings));
-    let text = serde_json::to_string_pretty(&metrics).context(|| "cannot write the metrics".into())? + "\n";
-    write_if_changed(&site.dir().join("metrics.json"), text.as_bytes())?;
-    Ok(())
 }

@@ -34,7 +34,8 @@ impl Workspace {
         let root = project_root(&manifest_dir);
         let recipe = match &arguments.pipeline {
             Some(name) => find_pipeline(name, Path::new(""), &manifest_dir, &root)?,
-            None => find_pipeline(&manifest.site.pipeline, &manifest_dir, &manifest_dir, &root)?,
+            None => find_pipeline(&manifest.site.pipeline, &manifest_dir, &manifest_dir, &root)
+                .map_err(|e| e.at(place_of_pipeline(arguments)))?,
         };
         let graph = Graph::new(&recipe, STAGES, &table)?;
         let run_dir = arguments.run_dir.clone().unwrap_or_else(|| root.join("runs"));
@@ -50,6 +51,12 @@ impl Workspace {
             run_dir: &self.run_dir,
         }
     }
+}
+
+/// Where the name of the pipeline is from, for people.
+fn place_of_pipeline(arguments: &SiteArguments) -> String {
+    let is_set = arguments.set.iter().any(|assignment| assignment.split('=').next().map(str::trim) == Some("pipeline"));
+    if is_set { "`pipeline` of `--set`".into() } else { format!("`pipeline` of `{}`", arguments.site.display()) }
 }
 
 /// The folder of the project that `dir` is in, as a path from the working directory where it is below that: the nearest one up that holds

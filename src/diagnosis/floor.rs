@@ -2,7 +2,7 @@
 
 use super::NoiseSpectrum;
 use crate::numerics::smooth::running_mean;
-use realfft::RealFftPlanner;
+use crate::numerics::spectrum::transforms;
 
 /// Width over which spectra are smoothed before they are divided, Hz.
 const SMOOTHED_HZ: f64 = 0.5;
@@ -50,7 +50,7 @@ pub fn noise_deviation_m_s2(
 }
 
 fn power(x: &[f64]) -> Vec<f64> {
-    let plan = RealFftPlanner::<f64>::new().plan_fft_forward(x.len());
+    let (plan, _) = transforms(x.len());
     let mut spectrum = plan.make_output_vec();
     // Lengths agree by construction; a failure would leave the spectrum at zero.
     let _ = plan.process(&mut x.to_vec(), &mut spectrum);

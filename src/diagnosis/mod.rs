@@ -14,6 +14,6 @@ pub use comparison::{Change, ErrorRow, PREDICTIONS, Six, Summary, missing_predic
 pub use floor::noise_deviation_m_s2;
 pub use generic::{GenericCorrection, Pair, fit as fit_generic};
 pub use noise::{USUAL_SHARE, denoised, noise, signal_band_hz};
-pub use outcome::{Candidate, DeclaredValue, Diagnosis, Estimate, Found, Rest, RestVerdict, Verdict};
+pub use outcome::{Candidate, DeclaredValue, Diagnosis, Estimate, Found, Hidden, Rest, RestVerdict, Verdict};
 pub use problem::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
 pub use settings::DiagnoseSettings;

@@ -100,6 +100,21 @@ pub struct DeclaredValue {
     pub by_records: Option<Estimate>,
 }
 
+/// An effect that the records would show least of all its places.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Hidden {
+    /// Name of the effect.
+    pub kind: String,
+    /// That place; empty for the whole column.
+    pub target: String,
+    /// Its strength parameter.
+    pub parameter: String,
+    /// Unit of the parameter.
+    pub unit: String,
+    /// The smallest strength that would be named in 80 % of cases; none where twice a typical one would not be.
+    pub least: Option<f64>,
+}
+
 /// What remains beside the answer, in a word.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -183,6 +198,9 @@ pub struct Diagnosis {
     pub explained_share: Option<f64>,
     /// Every declared value that may be off: velocities, then the others.
     pub declared: Vec<DeclaredValue>,
+    /// Kinds that could be there unnoticed beside the answer, the best hidden first.
+    #[serde(default)]
+    pub hidden: Vec<Hidden>,
     /// What remains beside the answer, where the diagnosis says it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<Rest>,

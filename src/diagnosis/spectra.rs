@@ -5,9 +5,10 @@ use super::settings::DiagnoseSettings;
 use crate::error::{Error, Result};
 use crate::metrics::rms;
 use crate::numerics::smooth::running_mean;
+use crate::numerics::spectrum::transforms;
 use crate::records::Split;
+use realfft::RealToComplex;
 use realfft::num_complex::Complex;
-use realfft::{RealFftPlanner, RealToComplex};
 use std::f64::consts::{PI, TAU};
 use std::ops::Range;
 use std::sync::Arc;
@@ -99,7 +100,7 @@ impl Transform {
 
 /// The history whose bins from `first` on are `bins`, zero elsewhere.
 fn history(bins: &[C64], first: usize, n: usize) -> Vec<f64> {
-    let plan = RealFftPlanner::<f64>::new().plan_fft_inverse(n);
+    let (_, plan) = transforms(n);
     let mut input = plan.make_input_vec();
     input[first..first + bins.len()].copy_from_slice(bins);
     let mut out = vec![0.0; n];
@@ -172,8 +173,7 @@ fn group(problem: &Problem, settings: &DiagnoseSettings, name: &str) -> Result<G
         return Err(Error::new(what).at(place()));
     }
     let step_hz = 1.0 / (window.len() as f64 * dt_s);
-    let transform =
-        Transform { plan: RealFftPlanner::<f64>::new().plan_fft_forward(window.len()), bins: first..first + count };
+    let transform = Transform { plan: transforms(window.len()).0, bins: first..first + count };
     let frequencies_hz: Vec<f64> = (0..count).map(|k| (first + k) as f64 * step_hz).collect();
     let tapered: f64 = (0..window.len()).map(|i| taper(i, window.len()).powi(2)).sum();
     let of = |(index, event): &(usize, &Event)| {

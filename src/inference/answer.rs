@@ -146,6 +146,7 @@ impl<'a> Answer<'_, 'a> {
                 .chain(claims.not_left_out(answer))
                 .chain(left_alone)
                 .collect(),
+            hidden: self.competition.hidden(answer),
             rest: Some(rest),
         }
     }
@@ -366,6 +367,11 @@ mod tests {
         let found = diagnosed(&Truth { soil: [204.0, 0.022], ..FEW });
         assert_eq!((found.verdict, found.effects.len()), (Verdict::None, 0), "{:?}", found.candidates.first());
         assert_eq!(found.rest.unwrap().verdict, RestVerdict::Noise);
+        let kinds: BTreeSet<&String> = found.hidden.iter().map(|hidden| &hidden.kind).collect();
+        assert_eq!(kinds.len(), found.hidden.len());
+        // What is named in the next test is more than what could hide.
+        let least = found.hidden.iter().find(|hidden| hidden.kind == "clock_offset").unwrap().least.unwrap();
+        assert!(0.0 < least && least < 0.025, "{least}");
     }
 
     #[test]

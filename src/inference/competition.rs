@@ -28,8 +28,10 @@ use super::few::Few;
 use super::forward::Prediction;
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Start, Stop};
+use super::power::hidden;
 use super::recalibration::recalibrated;
 use super::weights::{Expected, Rows};
+use crate::diagnosis::Hidden;
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
@@ -317,6 +319,14 @@ impl<'a> Competition<'a> {
         };
         let declared = fit.slopes[..fit.model.declared.len()].iter().cloned().map(Some);
         declared.chain(model.effects.iter().flat_map(of_effect)).collect()
+    }
+
+    /// Kinds of effects that could be there beside `fit` unnoticed, by a few events.
+    pub fn hidden(&self, fit: &Fit<'a>) -> Vec<Hidden> {
+        let by = self.few.fitter(&self.fitter);
+        let Ok(base) = self.few.of(&by, fit) else { return Vec::new() };
+        let open: Vec<Instance> = self.instances.iter().filter(|i| base.model.index_of(i).is_none()).cloned().collect();
+        hidden(&by, &base, &open, |instance| Some(self.prior_of(instance)))
     }
 
     /// Keeps the better fit of each model.

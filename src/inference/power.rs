@@ -7,12 +7,13 @@ use super::forward::Forward;
 use super::parameters::{Declared, Model, prior_of};
 use super::posterior::{Fit, Fitter, Start, Stop, dot, square};
 use super::weights::{Expected, Rows};
-use crate::diagnosis::{DiagnoseSettings, Problem, Replay};
+use crate::diagnosis::{DiagnoseSettings, Hidden, Problem, Replay};
 use crate::effects::Instance;
 use crate::error::{Error, Result};
 use crate::numerics::threads::on_threads;
 use faer::Mat;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Normal quantile of a power of 80 %.
@@ -99,17 +100,49 @@ pub fn power(problem: &Problem, replay: &dyn Replay, settings: &DiagnoseSettings
     let base = fitter.fit(Start::at(model, x), Stop::WHERE_IT_IS)?;
     let instances = acting(&quiet.array);
     let ln_prior = ln_prior(&forward, instances.iter());
-    let covariance = base.covariance().ok_or_else(|| Error::new("the declared values have no posterior"))?;
-    let seen = Seen { fitter: &fitter, base: &base, covariance };
-    let of = |i: usize| {
-        let prior = ln_prior.get(instances[i].kind)?;
-        seen.sensitivity(&instances[i], (1.0 / NOTHING - 1.0).ln() - prior)
-    };
-    let mut marks: Vec<(Sensitivity, Mark)> = on_threads(instances.len(), of).into_iter().flatten().collect();
+    let marks = marks(&fitter, &base, &instances, |instance| ln_prior.get(instance.kind).copied());
+    let mut marks = marks.ok_or_else(|| Error::new("the declared values have no posterior"))?;
     marks.sort_by(|a, b| b.0.expected_score.total_cmp(&a.0.expected_score));
     let confusions = confusions(&marks);
     let classes = classes(&confusions);
     Ok(Power { effects: marks.into_iter().map(|(s, _)| s).collect(), confusions, classes })
+}
+
+/// What could be seen of each of `instances` beside `base`, whose prior is e to the power of `ln_prior`; none where the coordinates of
+/// `base` have no posterior.
+fn marks<'a>(
+    fitter: &Fitter<'a>,
+    base: &Fit<'a>,
+    instances: &[Instance],
+    ln_prior: impl Fn(&Instance) -> Option<f64> + Sync,
+) -> Option<Vec<(Sensitivity, Mark)>> {
+    let seen = Seen { fitter, base, covariance: base.covariance()? };
+    let of = |i: usize| seen.sensitivity(&instances[i], (1.0 / NOTHING - 1.0).ln() - ln_prior(&instances[i])?);
+    Some(on_threads(instances.len(), of).into_iter().flatten().collect())
+}
+
+/// Of each kind among `instances` that has a strength the place where it would be seen least beside `base`, the best hidden first.
+pub(super) fn hidden<'a>(
+    fitter: &Fitter<'a>,
+    base: &Fit<'a>,
+    instances: &[Instance],
+    ln_prior: impl Fn(&Instance) -> Option<f64> + Sync,
+) -> Vec<Hidden> {
+    let visible = |s: &Sensitivity| s.expected_score / s.needed_score;
+    let mut all: Vec<Sensitivity> =
+        marks(fitter, base, instances, ln_prior).unwrap_or_default().into_iter().map(|(seen, _)| seen).collect();
+    all.retain(|seen| !seen.parameter.is_empty());
+    all.sort_by(|a, b| visible(a).total_cmp(&visible(b)));
+    let mut kinds = BTreeSet::new();
+    all.retain(|seen| kinds.insert(seen.kind.clone()));
+    let of = |Sensitivity { kind, target, parameter, unit, detectable, .. }| Hidden {
+        kind,
+        target,
+        parameter,
+        unit,
+        least: detectable,
+    };
+    all.into_iter().map(of).collect()
 }
 
 /// What an effect changes of the residuals, and how the declared values follow it.

@@ -1,8 +1,7 @@
 //! A filter that has the mean amplitude ratio of training events, and no more phase than that needs.
 
 use super::history::fourier_frequencies_hz;
-use crate::numerics::spectrum::respond;
-use realfft::RealFftPlanner;
+use crate::numerics::spectrum::{respond, transforms};
 use realfft::num_complex::Complex;
 
 /// Highest frequency of the filter, Hz; beyond it the amplitude stays.
@@ -77,8 +76,7 @@ fn ln_amplitude(knots: &[[f64; 2]]) -> Vec<f64> {
 
 fn minimum_phase(ln_amplitude: &[f64]) -> Vec<Complex<f64>> {
     let length = 2 * N_LINE;
-    let mut planner = RealFftPlanner::<f64>::new();
-    let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+    let (forward, inverse) = transforms(length);
     let mut spectrum: Vec<Complex<f64>> = ln_amplitude.iter().map(|v| Complex::new(*v, 0.0)).collect();
     let mut cepstrum = inverse.make_output_vec();
     inverse.process(&mut spectrum, &mut cepstrum).expect("buffers made by the plan itself");

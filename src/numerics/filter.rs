@@ -3,7 +3,7 @@
 //! The ends are continued by odd reflection (`2 x₀ − x₋ₖ`), faded to a common value, before the transform, so that a
 //! series that does not start or end at zero makes no step in the periodic continuation.
 
-use realfft::RealFftPlanner;
+use super::spectrum::transforms;
 use std::f64::consts::PI;
 
 /// Applies a real gain of the frequency in Hz to a series, without delay.
@@ -21,8 +21,7 @@ pub fn zero_phase(x: &[f64], dt_s: f64, gain: impl Fn(f64) -> f64) -> Vec<f64> {
     }
     let pad = n - 1;
     let length = fast_length(n + 2 * pad);
-    let mut planner = RealFftPlanner::<f64>::new();
-    let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+    let (forward, inverse) = transforms(length);
     let mut series = continued(x, pad, length);
     let mut spectrum = forward.make_output_vec();
     forward.process(&mut series, &mut spectrum).expect("buffers made by the plan itself");

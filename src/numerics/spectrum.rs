@@ -1,9 +1,19 @@
 //! A complex response of frequency on time series, without wrap-around.
 
 use super::filter::fast_length;
-use realfft::RealFftPlanner;
 use realfft::num_complex::Complex;
+use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use std::f64::consts::PI;
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
+
+/// Transforms that were planned already: a plan takes longer than a transform.
+static PLANNER: LazyLock<Mutex<RealFftPlanner<f64>>> = LazyLock::new(|| Mutex::new(RealFftPlanner::new()));
+
+/// The transform of `length` real values, and its inverse, which is so many times the series.
+pub fn transforms(length: usize) -> (Arc<dyn RealToComplex<f64>>, Arc<dyn ComplexToReal<f64>>) {
+    let mut planner = PLANNER.lock().unwrap_or_else(PoisonError::into_inner);
+    (planner.plan_fft_forward(length), planner.plan_fft_inverse(length))
+}
 
 /// Spectra of `series`, which share a length, are changed in place by `change(f_hz, spectra)` and transformed back.
 ///
@@ -31,8 +41,7 @@ pub fn respond<const N: usize>(
     let zero = Complex::new(0.0, 0.0);
     let constant = |i: usize| std::array::from_fn(|j| if i == j { Complex::new(1.0, 0.0) } else { zero });
     let goes_on = (0..N).any(|i| change(0.0, constant(i)) != [zero; N]);
-    let mut planner = RealFftPlanner::<f64>::new();
-    let (forward, inverse) = (planner.plan_fft_forward(length), planner.plan_fft_inverse(length));
+    let (forward, inverse) = transforms(length);
     let mut spectra = series.map(|x| {
         let ends = if goes_on { [x[0], x[x.len() - 1]] } else { [0.0; 2] };
         let mut padded = continued(x, ends, fade, length);
@@ -64,7 +73,7 @@ pub fn spectrum(series: &[f64], dt_s: f64) -> (Vec<f64>, Vec<Complex<f64>>) {
     let length = fast_length(2 * series.len().max(1));
     let mut padded = series.to_vec();
     padded.resize(length, 0.0);
-    let forward = RealFftPlanner::<f64>::new().plan_fft_forward(length);
+    let (forward, _) = transforms(length);
     let mut spectrum = forward.make_output_vec();
     forward.process(&mut padded, &mut spectrum).expect("buffers made by the plan itself");
     ((0..spectrum.len()).map(|k| k as f64 / (length as f64 * dt_s)).collect(), spectrum)

@@ -23,7 +23,8 @@ pub struct Owner {
 }
 
 impl Owner {
-    fn this_process() -> Self {
+    /// This process, now.
+    pub(super) fn this_process() -> Self {
         let host = fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         Self { host: host.trim().to_string(), pid: std::process::id(), since_unix_s: since.as_secs() }

@@ -6,7 +6,7 @@ use super::files::remove_dir;
 use super::lock::Lease;
 use super::reporter::StageProgress;
 use super::store::{Outputs, Published};
-use super::{Action, Address, Decision, Event, Graph, Lock, Options, Reason, Reporter, Site, State, Task};
+use super::{Action, Address, Decision, Event, Graph, Lock, Options, OutsideFile, Reason, Reporter, Site, State, Task};
 use crate::error::{Error, Result};
 use std::path::PathBuf;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -100,6 +100,16 @@ pub fn output(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<PathBuf> {
     let planner = Planner::new(site, graph, &Options::default())?;
     let address = stored(&planner, graph, stage)?;
     Ok(planner.store.dir(&address))
+}
+
+/// Files from outside that one stage read.
+///
+/// # Errors
+/// When there is no such stage or its output is not stored.
+pub fn outside_files(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<Vec<OutsideFile>> {
+    let planner = Planner::new(site, graph, &Options::default())?;
+    let address = stored(&planner, graph, stage)?;
+    Ok(planner.store.parts(&address).map(|parts| parts.files).unwrap_or_default())
 }
 
 /// Where the output of one stage is stored.

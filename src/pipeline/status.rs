@@ -20,6 +20,10 @@ pub struct StageStatus {
     pub entry: Option<Address>,
     /// Wall time of its computation.
     pub seconds: Option<f64>,
+    /// Machine that computed it.
+    pub host: Option<String>,
+    /// When it was done, seconds since 1970-01-01 UTC.
+    pub done_unix_s: Option<u64>,
     /// Size of its output with items.
     pub bytes: Option<u64>,
     /// Who is computing it.
@@ -46,9 +50,12 @@ pub fn status(site: &Site<'_>, graph: &Graph) -> Result<Vec<StageStatus>> {
             Some(Reason::NeverRun) => "never_run",
             _ => "outdated",
         };
+        let timing = entry.filter(|_| is_cached).and_then(|e| store.timing(e));
         StageStatus {
             state,
-            seconds: entry.filter(|_| is_cached).and_then(|e| store.seconds(e)),
+            seconds: timing.as_ref().map(|t| t.seconds),
+            host: timing.as_ref().map(|t| t.host.clone()).filter(|host| !host.is_empty()),
+            done_unix_s: timing.as_ref().map(|t| t.done_unix_s).filter(|done| *done > 0),
             bytes: entry.filter(|_| is_cached).and_then(|e| store.outputs(e)).map(|o| store.bytes(&o)),
             owner,
             stage: decision.stage,

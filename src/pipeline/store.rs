@@ -6,6 +6,7 @@
 
 use super::files::{list, remove_dir, sync_dir, sync_tree};
 use super::key::{Address, Parts, file_hash};
+use super::lock::Owner;
 use crate::error::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs;
@@ -66,9 +67,17 @@ pub struct ItemRecord {
     pub failure: Option<String>,
 }
 
-#[derive(Serialize, Deserialize)]
-struct Timing {
-    seconds: f64,
+/// `timing.toml`: how an entry was computed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Timing {
+    /// Wall time, s.
+    pub seconds: f64,
+    /// Name of the machine; empty where it was not written.
+    #[serde(default)]
+    pub host: String,
+    /// When it was done, seconds since 1970-01-01 UTC; 0 where it was not written.
+    #[serde(default)]
+    pub done_unix_s: u64,
 }
 
 /// What is at an address.
@@ -188,10 +197,15 @@ impl Store {
         toml::from_str(&fs::read_to_string(self.dir(address).join(STAGE)).ok()?).ok()
     }
 
+    /// How an entry was computed.
+    pub fn timing(&self, address: &Address) -> Option<Timing> {
+        let text = fs::read_to_string(self.dir(address).join(TIMING)).ok()?;
+        toml::from_str(&text).ok()
+    }
+
     /// How long the entry took to compute, in seconds of wall time.
     pub fn seconds(&self, address: &Address) -> Option<f64> {
-        let text = fs::read_to_string(self.dir(address).join(TIMING)).ok()?;
-        toml::from_str::<Timing>(&text).ok().map(|t| t.seconds)
+        self.timing(address).map(|t| t.seconds)
     }
 
     /// Size of an entry with its items.
@@ -228,9 +242,11 @@ impl Store {
             remove_dir(&draft)?;
             return Ok(Published::Same);
         }
+        let Owner { host, since_unix_s: done_unix_s, .. } = Owner::this_process();
+        let timing = Timing { seconds, host, done_unix_s };
         fs::write(draft.join(STAGE), toml::to_string(parts).context(what)?).context(what)?;
         fs::write(draft.join(OUTPUTS), toml::to_string(&outputs).context(what)?).context(what)?;
-        fs::write(draft.join(TIMING), toml::to_string(&Timing { seconds }).context(what)?).context(what)?;
+        fs::write(draft.join(TIMING), toml::to_string(&timing).context(what)?).context(what)?;
         sync_tree(&draft).context(what)?;
         let is_replaced = dir.exists();
         let old = self.beside(&address, "old");

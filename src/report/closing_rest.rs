@@ -4,13 +4,13 @@ use maud::{Markup, html};
 
 use super::chart::{self, Axis, Curve, Frame, Marks};
 use super::closing::{claim, interval, words};
-use super::closing_content::{Closing, DeclaredRow, Generic, Rest};
+use super::closing_content::{Closing, DeclaredRow, Generic, HiddenRow, Rest};
 use super::figure::{Key, figure, legend};
 use super::number;
 
 /// Whether there is anything to say.
 pub(super) fn is_any(closing: &Closing) -> bool {
-    !closing.declared.is_empty() || closing.rest.is_some() || closing.generic.is_some()
+    !closing.declared.is_empty() || !closing.hidden.is_empty() || closing.rest.is_some() || closing.generic.is_some()
 }
 
 /// The subsection.
@@ -22,6 +22,7 @@ pub(super) fn rest(closing: &Closing) -> Markup {
         h3 id="loop-rest" { "What remains" }
         @if !closing.declared.is_empty() { (declared(&closing.declared)) }
         @if let Some(rest) = &closing.rest { (remains(rest)) }
+        @if !closing.hidden.is_empty() { (hidden(&closing.hidden)) }
         @if let Some(generic) = &closing.generic { (without_a_name(generic)) }
     }
 }
@@ -56,6 +57,29 @@ fn declared(rows: &[DeclaredRow]) -> Markup {
                     td { (words(&row.parameter)) }
                     td { (interval(&row.estimate)) @if row.is_at_end { " (at its end)" } }
                     td { @if let Some(alone) = &row.by_records { (interval(alone)) } }
+                }
+            } }
+        } }
+    }
+}
+
+fn hidden(rows: &[HiddenRow]) -> Markup {
+    html! {
+        h4 { "What could still hide" }
+        p { "Of each kind of effect, the place where these records would show it least, and the strength from which it would be named there in four cases of five." }
+        div.scroll { table {
+            caption { "Effects that could be there unnoticed, the best hidden first." }
+            thead { tr { th scope="col" { "Effect" } th scope="col" { "Where" } th scope="col" { "Named from" } } }
+            tbody { @for row in rows {
+                tr {
+                    td { (words(&row.kind)) }
+                    td { @if row.target.is_empty() { "whole column" } @else { (row.target) } }
+                    td {
+                        @match row.least {
+                            Some(least) => { code { (row.parameter) } " " (number::significant(least)) " " (row.unit) },
+                            None => "not at twice the typical strength",
+                        }
+                    }
                 }
             } }
         } }

@@ -7,8 +7,8 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::closing_content::{
-    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest,
-    TransferRow,
+    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, HiddenRow, Interval, Model,
+    NamedEffect, Rest, TransferRow,
 };
 
 pub use super::site_content::{
@@ -54,8 +54,6 @@ pub struct Content {
     pub scores: Vec<Score>,
     /// Two source models side by side.
     pub study: Option<Study>,
-    /// Time spent in each stage, in the order shown.
-    pub timings: Vec<Timing>,
     /// Where all of this comes from.
     pub provenance: Provenance,
 }
@@ -326,19 +324,6 @@ pub struct Pair {
     pub fe: Option<f64>,
     /// FLARE-T.
     pub flare_t: Option<f64>,
-}
-
-/// Time spent in one stage.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Timing {
-    /// Stage name.
-    pub stage: String,
-    /// Wall-clock time of its last real run, s.
-    pub seconds: f64,
-    /// A remark ("100 motions, 2 threads").
-    #[serde(default)]
-    pub note: String,
 }
 
 /// Where the numbers come from.

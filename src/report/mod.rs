@@ -20,6 +20,7 @@ mod curves;
 mod depth;
 mod distill;
 mod events;
+mod execution;
 mod figure;
 mod heat;
 mod held_out;
@@ -44,6 +45,7 @@ mod traces;
 
 pub use answer::answer;
 pub use content::Content;
+pub use execution::{ExecutedStage, Execution, executed};
 pub use pictures::pictures;
 
 use crate::Result;

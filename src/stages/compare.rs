@@ -38,6 +38,8 @@ pub struct Loop {
     pub effects: Vec<Named>,
     /// Every declared value that may be off, beside what is named.
     pub declared: Vec<diagnosis::DeclaredValue>,
+    /// Kinds that could be there unnoticed beside the answer, the best hidden first.
+    pub hidden: Vec<diagnosis::Hidden>,
     /// Kinds that explain the records about as well.
     pub ambiguity: Vec<String>,
     /// Effects that were tried, best first.
@@ -109,7 +111,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        12
+        13
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -203,6 +205,7 @@ impl Loop {
             verdict: diagnosis.verdict,
             effects: named.collect(),
             declared: diagnosis.declared.clone(),
+            hidden: diagnosis.hidden.clone(),
             ambiguity: diagnosis.ambiguity.clone(),
             candidates: tried.collect(),
             explained_share: diagnosis.explained_share,

@@ -37,7 +37,7 @@ impl Stage for Report {
     }
 
     fn version(&self) -> u32 {
-        8
+        9
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -6,6 +6,7 @@ use std::sync::LazyLock;
 
 use flare_pipe::metrics::Claimed;
 use flare_pipe::report::content::*;
+use flare_pipe::report::{self, ExecutedStage, Execution};
 
 /// Deterministic noise in −1…1.
 struct Noise(u64);
@@ -307,6 +308,21 @@ fn closing() -> Closing {
                 ..DeclaredRow::default()
             },
         ],
+        hidden: vec![
+            HiddenRow {
+                kind: "thin_seam".into(),
+                target: "12.0 m".into(),
+                parameter: "ln_factor".into(),
+                ..HiddenRow::default()
+            },
+            HiddenRow {
+                kind: "clock_offset".into(),
+                target: "FA1-5".into(),
+                parameter: "offset_s".into(),
+                unit: "s".into(),
+                least: Some(0.0021),
+            },
+        ],
         rest: Some(Rest {
             sentence: "What remains does not follow the base in the same way in all events.".into(),
             share: 0.21,
@@ -344,6 +360,31 @@ fn measures_of_the_field(names: &[&str]) -> Field {
     Field { fourier_bands_hz: vec![[0.2, 0.5], [0.5, 0.67]], psa_bands_s: vec![[0.1, 0.2], [5.0, 10.0]], rows }
 }
 
+/// Command of the sample.
+pub const COMMAND: &str = "flare-pipe run lotung.toml";
+
+/// The page of `content` with how it came about, by this command.
+pub fn page(content: &Content, command: &str) -> String {
+    let stage = |stage: &str, duration_s: f64| ExecutedStage {
+        stage: stage.into(),
+        date: "2026-11-30 04:23 UTC".into(),
+        host: "bench".into(),
+        duration_s,
+    };
+    let execution = Execution {
+        command: command.into(),
+        commit: Some("0123456789abcdef0123456789abcdef01234567, with changes".into()),
+        stages: vec![
+            stage("motions", 0.8),
+            stage("simulate", 724.0),
+            stage("pretrain", 1311.0),
+            stage("evaluate", 3.4),
+        ],
+        files: vec![("LSST07.EW.csv".into(), "9d1f0c2b".repeat(8))],
+    };
+    report::executed(&report::render(content).unwrap(), &execution)
+}
+
 /// The whole content.
 pub fn content() -> Content {
     static WHOLE: LazyLock<Content> = LazyLock::new(build);
@@ -372,7 +413,6 @@ fn build() -> Content {
         .map(|i| MotionCase { case: format!("{i:03}"), pga_g: 0.03 * (1.3 * noise.next()).exp(), validation: i > 80 })
         .collect();
     let stage = |stage: &str, key: &str| StageOrigin { stage: stage.into(), version: 1, key: key.repeat(8) };
-    let timing = |stage: &str, seconds: f64, note: &str| Timing { stage: stage.into(), seconds, note: note.into() };
     Content {
         site: "lotung".into(),
         description: vec![
@@ -419,14 +459,6 @@ fn build() -> Content {
         study: Some(study()),
         held_out,
         scores,
-        timings: vec![
-            timing("motions", 0.8, ""),
-            timing("simulate", 724.0, "100 trajectories, 2 threads"),
-            timing("pretrain", 1311.0, "900 epochs"),
-            timing("distill", 64.0, ""),
-            timing("calibrate", 148.0, "EW and NS in parallel"),
-            timing("evaluate", 3.4, ""),
-        ],
         provenance: Provenance {
             program: "flare-pipe 0.1.0".into(),
             manifest: "name = \"lotung\"\npipeline = \"flare-t\"\n\n[site]\ndepth_m = 17.0\nelements = 200\nwater_table_m = 0.6\n".into(),
