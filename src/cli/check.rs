@@ -5,6 +5,7 @@ use super::output::{say, write_json};
 use super::records::inventory;
 use super::workspace::Workspace;
 use crate::column::{self, Column};
+use crate::diagnosis::HIGHEST_SHARE;
 use crate::effects;
 use crate::error::Result;
 use crate::twin::Truth;
@@ -41,12 +42,14 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
         )),
         None => {}
     }
+    remarks.extend(beyond_step(site.diagnose.band_hz[1], &rows));
     let layer = |(l, count): (&column::Layer, usize)| {
         let element_m = l.thickness_m / count as f64;
         Layer { thickness_m: l.thickness_m, element_m, highest_hz: l.vs_m_s / (ELEMENTS * element_m) }
     };
     let declared = site.column().declared_profile()?;
     let layers: Vec<Layer> = declared.layers.iter().zip(declared.elements_per_layer()).map(layer).collect();
+    remarks.extend(beyond_elements(site.diagnose.band_hz[1], &layers));
     let n_event = site.records.as_ref().map_or(0, |r| r.events().count());
     if json {
         let layer =
@@ -54,7 +57,7 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
         return write_json(&json!({
             "manifest": arguments.site, "site": site.name, "pipeline": workspace.pipeline, "depth_m": site.site.depth_m,
             "layers": layers.iter().map(layer).collect::<Vec<Value>>(), "frequency_hz": column.frequency_hz(),
-            "events": n_event, "records": rows, "notes": left_alone,
+            "events": n_event, "records": rows, "notes": left_alone.iter().chain(&remarks).collect::<Vec<_>>(),
         }));
     }
     say!(
@@ -84,4 +87,29 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
     }
     left_alone.iter().chain(&remarks).for_each(|sentence| say!("  {sentence}"));
     Ok(())
+}
+
+/// A sentence where the band that is diagnosed ends beyond what the steps of records show.
+fn beyond_step(high_hz: f64, rows: &[super::records::Row]) -> Option<String> {
+    let shown_hz = |row: &super::records::Row| row.step_s().map(|step_s| HIGHEST_SHARE / step_s);
+    let coarser: Vec<f64> = rows.iter().filter_map(shown_hz).filter(|shown| *shown < high_hz).collect();
+    let least_hz = coarser.iter().copied().fold(f64::INFINITY, f64::min);
+    (!coarser.is_empty()).then(|| {
+        format!(
+            "`diagnose.band_hz` ends at {high_hz} Hz; {} records are compared up to {least_hz:.1} Hz, which their time steps show",
+            coarser.len()
+        )
+    })
+}
+
+/// A sentence where it ends beyond what the elements carry.
+fn beyond_elements(high_hz: f64, layers: &[Layer]) -> Option<String> {
+    let coarsest = layers.iter().enumerate().min_by(|a, b| a.1.highest_hz.total_cmp(&b.1.highest_hz));
+    let (i, layer) = coarsest.filter(|(_, layer)| layer.highest_hz < high_hz)?;
+    Some(format!(
+        "`diagnose.band_hz` ends at {high_hz} Hz; with the elements of `site.layer[{}]` waves are ten elements long up to {:.1} Hz: raise \
+         `site.elements`, or end the band there",
+        i + 1,
+        layer.highest_hz
+    ))
 }

@@ -35,6 +35,10 @@ const DEPTH: usize = 6;
 /// When the run directory cannot be read or written, a run is at work in it, or nobody can be asked.
 pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
     let run_dir = arguments.run_dir.clone().unwrap_or_else(|| project_root(Path::new("")).join("runs"));
+    if arguments.run_dir.is_some() && !run_dir.join("cache").is_dir() {
+        let hint = "it is the folder that has `cache` and a folder of each site that was run";
+        return Err(Error::new(format!("`{}` is no folder of results", run_dir.display())).hint(hint).usage());
+    }
     let Needed { entries: needed, is_unfinished } = needed(run_dir.parent().unwrap_or(Path::new("")), &run_dir)?;
     let mut unused = pipeline::unused(&run_dir, &needed)?;
     if is_unfinished {

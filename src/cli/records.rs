@@ -26,6 +26,11 @@ pub struct Row {
 }
 
 impl Row {
+    /// Time step of the record, s; none of one that is not there.
+    pub fn step_s(&self) -> Option<f64> {
+        self.content.as_ref().map(|content| content.step_s)
+    }
+
     /// Its remarks as sentences that stand alone.
     pub fn sentences(&self) -> impl Iterator<Item = String> {
         self.remarks.iter().map(|remark| format!("{}, {}: {remark}", self.event, self.component))

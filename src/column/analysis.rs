@@ -91,10 +91,13 @@ impl Analysis {
     /// What is out of range, as (key, sentence).
     pub fn problems(&self) -> Vec<(String, String)> {
         let mut problems = self.beyond();
-        let initial_s = [STEP_S, self.max_step_s.max(STEP_S)];
-        problems.extend(problem("initial_step_s", initial_s, "s", self.initial_step_s));
-        let least_s = [LEAST_STEP_S, self.initial_step_s.max(LEAST_STEP_S)];
-        problems.extend(problem("min_step_s", least_s, "s", self.min_step_s));
+        // Where the end of a range is out of range itself, nothing is beyond it.
+        if self.max_step_s >= STEP_S {
+            problems.extend(problem("initial_step_s", [STEP_S, self.max_step_s], "s", self.initial_step_s));
+        }
+        if self.initial_step_s >= STEP_S {
+            problems.extend(problem("min_step_s", [LEAST_STEP_S, self.initial_step_s], "s", self.min_step_s));
+        }
         problems
     }
 }

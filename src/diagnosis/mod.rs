@@ -17,3 +17,4 @@ pub use noise::{USUAL_SHARE, denoised, noise, signal_band_hz};
 pub use outcome::{Candidate, DeclaredValue, Diagnosis, Estimate, Found, Hidden, Rest, RestVerdict, Verdict};
 pub use problem::{Event, Motions, NoiseSource, NoiseSpectrum, Problem, Replay};
 pub use settings::DiagnoseSettings;
+pub use spectra::HIGHEST_SHARE;

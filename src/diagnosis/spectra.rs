@@ -23,6 +23,8 @@ const TAPER_SHARE: f64 = 0.04;
 const SMOOTH_HZ: f64 = 0.15;
 /// Half of the time over which the power of a motion is smoothed, s.
 const SMOOTH_S: f64 = 0.5;
+/// Highest frequency that is compared, over that of the samples.
+pub const HIGHEST_SHARE: f64 = 0.45;
 /// Least power of noise in a bin, over the largest power of a channel.
 const LEAST_NOISE: f64 = 1e-12;
 /// Peak over RMS velocity of a base that does not move.
@@ -137,7 +139,7 @@ fn taper(i: usize, n: usize) -> f64 {
 /// Index of the first bin of the band and their number for `n` samples of `dt_s`.
 fn bins(n: usize, dt_s: f64, band_hz: [f64; 2]) -> (usize, usize) {
     let step_hz = 1.0 / (n as f64 * dt_s);
-    let high_hz = band_hz[1].min(0.45 / dt_s);
+    let high_hz = band_hz[1].min(HIGHEST_SHARE / dt_s);
     let first = (band_hz[0] / step_hz).ceil().max(1.0) as usize;
     let last = (high_hz / step_hz).floor() as usize;
     (first, (last + 1).saturating_sub(first))

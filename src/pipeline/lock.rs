@@ -109,7 +109,7 @@ impl Drop for Lock {
 fn lock_file(path: &Path) -> Result<File> {
     let what = || format!("cannot lock `{}`", path.display());
     if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).context(what)?;
+        fs::create_dir_all(folder).context(|| format!("cannot make the folder `{}`", folder.display()))?;
     }
     OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).context(what)
 }

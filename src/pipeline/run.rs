@@ -124,7 +124,7 @@ fn stored(planner: &Planner<'_>, graph: &Graph, stage: &str) -> Result<Address> 
     match (&decisions[index].action, &resolved[index]) {
         (Action::Cached, Some(known)) => Ok(known.address.clone()),
         _ => Err(Error::new(format!("the output of `{stage}` is not up to date: {}", decisions[index].reason()))
-            .hint(format!("`flare-pipe run` with `--until {stage}` computes it"))),
+            .hint(format!("`flare-pipe run` computes it, and with `--until {stage}` what it needs alone"))),
     }
 }
 
