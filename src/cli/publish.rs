@@ -2,11 +2,14 @@
 
 use super::workspace::Workspace;
 use crate::error::{Context, Result};
-use crate::pipeline::{self, StageStatus, write_if_changed};
+use crate::pipeline::{self, Node, StageStatus, write_if_changed};
 use crate::report::{ExecutedStage, Execution, executed};
 use crate::stages::correct;
 use serde_json::{Map, Value, json};
 use std::path::Path;
+
+/// The report.
+const PAGE: &str = "report.html";
 
 /// Writes all of it as far as there is any.
 ///
@@ -45,11 +48,16 @@ fn correction(workspace: &Workspace) -> Result<()> {
     Ok(())
 }
 
+/// Whether a node makes the page that is published under this name, with how its results were computed.
+pub fn is_page(node: &Node, name: &str) -> bool {
+    node.name == "report" && name == PAGE
+}
+
 /// `report.html`: what the report stage wrote, and how the results in it were computed.
 fn report(workspace: &Workspace) -> Result<()> {
     let (site, graph) = (workspace.site(), &workspace.graph);
     let Ok(folder) = pipeline::output(&site, graph, "report") else { return Ok(()) };
-    let path = folder.join("report.html");
+    let path = folder.join(PAGE);
     let page = std::fs::read_to_string(&path).context(|| format!("cannot read `{}`", path.display()))?;
     let stage = |s: StageStatus| {
         Some(ExecutedStage {
@@ -66,7 +74,7 @@ fn report(workspace: &Workspace) -> Result<()> {
         stages: pipeline::status(&site, graph)?.into_iter().filter_map(stage).collect(),
         files: files.into_iter().map(|file| (file.name, file.blake3.to_string())).collect(),
     };
-    write_if_changed(&site.dir().join("report.html"), executed(&page, &execution).as_bytes())?;
+    write_if_changed(&site.dir().join(PAGE), executed(&page, &execution).as_bytes())?;
     Ok(())
 }
 

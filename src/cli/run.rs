@@ -3,12 +3,12 @@
 use super::SiteArguments;
 use super::names::Names;
 use super::output::{data, say, write_json};
-use super::publish::publish;
+use super::publish::{self, publish};
 use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
 use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
 use crate::error::{Error, Result};
-use crate::pipeline::{self, Action, Mode, Options, Summary};
+use crate::pipeline::{self, Action, Mode, Node, Options, Summary};
 use crate::progress::Quiet;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
@@ -94,7 +94,8 @@ impl Answer {
     fn of(workspace: &Workspace) -> Self {
         let (site, graph) = (workspace.site(), &workspace.graph);
         let is_current = |name: &str| {
-            let publisher = graph.nodes().iter().find(|n| n.publishes.iter().any(|(_, p)| p == name));
+            let is_publisher = |n: &&Node| n.publishes.iter().any(|(_, p)| p == name) || publish::is_page(n, name);
+            let publisher = graph.nodes().iter().find(is_publisher);
             publisher.is_some_and(|node| pipeline::output(&site, graph, &node.name).is_ok())
         };
         let current = ANSWERS.into_iter().filter(|(_, name)| is_current(name));

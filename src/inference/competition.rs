@@ -34,6 +34,7 @@ use super::weights::{Expected, Rows};
 use crate::diagnosis::Hidden;
 use crate::effects::{self, Instance};
 use crate::error::Result;
+use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 use null::Null;
 pub(super) use prior::{acting, ln_prior};
@@ -228,12 +229,12 @@ impl<'a> Competition<'a> {
             self.explore(&labels, progress)?;
             let leading = self.best().model.effects.clone();
             let highest = self.log_posterior(self.best());
-            for i in 0..self.fits.len() {
-                let fit = &self.fits[i];
-                if i == 0 || self.promise(fit) > highest - WINDOW {
-                    self.fits[i] = self.fitter.fit(Start::from(fit.clone()), Stop::EXACT)?;
-                    progress.note(&self.described(&self.fits[i]));
-                }
+            let counts = |i: &usize| *i == 0 || self.promise(&self.fits[*i]) > highest - WINDOW;
+            let counting: Vec<usize> = (0..self.fits.len()).filter(counts).collect();
+            let of = |k: usize| self.fitter.fit(Start::from(self.fits[counting[k]].clone()), Stop::EXACT);
+            for (i, found) in counting.iter().zip(on_threads(counting.len(), of)) {
+                self.fits[*i] = found?;
+                progress.note(&self.described(&self.fits[*i]));
             }
             if is_same_set(&leading, &self.best().model.effects) {
                 break;
@@ -284,13 +285,6 @@ impl<'a> Competition<'a> {
             }
         }
         Ok(())
-    }
-
-    /// Fits from `start` as far as `stop` says and keeps that.
-    fn begin(&mut self, start: Start<'a>, stop: Stop) {
-        if let Ok(fit) = self.fitter.fit(start, stop) {
-            self.keep(fit);
-        }
     }
 
     /// Fits from `start` and keeps that; what was found, if anything.

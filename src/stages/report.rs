@@ -48,10 +48,6 @@ impl Stage for Report {
         &["records.dir", "records.truth"]
     }
 
-    fn publishes(&self) -> &'static [&'static str] {
-        &["report.html"]
-    }
-
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let trained = task.has_input("evaluate").then(|| evaluate::read(task.input("evaluate")?)).transpose()?;
         let metrics = match &trained {

@@ -8,6 +8,7 @@ use crate::error::Result;
 use crate::inference::forward::Forward;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop, combined, square};
 use crate::inference::weights::Expected;
+use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 
 /// Most times that what few elements leave wrong is taken out anew.
@@ -25,8 +26,8 @@ impl<'a> Competition<'a> {
             let best = self.best_of(|fit| fit.labels() == labels).unwrap_or(&self.fits[0]).clone();
             self.fitter.forward.anchor(&best.model.tables(&best.x))?;
             let old = std::mem::take(&mut self.fits);
-            let evaluated = |fit: Fit<'a>| self.fitter.fit(Start::from(fit), Stop::WHERE_IT_IS);
-            self.fits = old.into_iter().map(evaluated).collect::<Result<_>>()?;
+            let evaluated = |i: usize| self.fitter.fit(Start::from(old[i].clone()), Stop::WHERE_IT_IS);
+            self.fits = on_threads(old.len(), evaluated).into_iter().collect::<Result<_>>()?;
             let Some(index) = self.known(&best.model.effects) else { break };
             let there = self.fits[index].clone();
             let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
