@@ -95,6 +95,21 @@ fn a_profile_and_records_make_a_manifest_that_checks() {
 }
 
 #[test]
+fn records_alone_make_a_manifest_that_checks_and_says_what_is_a_guess() {
+    let folder = measurements();
+    let here = folder.path();
+    let init = ["init", "mine", "--records", "records", "--sensor", "G10=10", "--sensor", "G0=0"];
+    let (status, _, stderr) = said(here, &init);
+    assert_eq!(status, 0, "{stderr}");
+    let manifest = fs::read_to_string(here.join("mine.toml")).unwrap();
+    assert!(manifest.contains("vs_m_s = 300.0 # ? no profile was given"), "{manifest}");
+    let (status, _, stderr) = said(here, &["check", "mine.toml"]);
+    assert_eq!(status, 0, "{stderr}");
+    let (status, _, stderr) = said(here, &["init", "other"]);
+    assert!(status == 2 && stderr.contains("--profile <FILE>"), "{stderr}");
+}
+
+#[test]
 fn records_of_an_agency_make_a_manifest_that_checks() {
     let folder = measurements();
     let here = folder.path();

@@ -2,7 +2,7 @@
 
 use super::output::{data, say, write_json};
 use crate::error::{Context, Error, Result};
-use crate::manifest::{self, Draft, DraftRecords, profile_table, strata};
+use crate::manifest::{self, Draft, DraftRecords, LayerRow, profile_table, strata};
 use crate::records::{self, RecordSettings, Source, csv, kiknet};
 use crate::units::AccelerationUnit;
 use clap::Args;
@@ -18,9 +18,10 @@ const LEAST_EVENTS: usize = 2;
 pub struct InitArguments {
     /// Name of the site: lower-case letters, digits and hyphens
     name: String,
-    /// Table of the layers: `thickness_m` (or `depth_m` of their tops), `vs_m_s`, `density_kg_m3`, …, text of PySeismoSoil, or JSON of Strata
-    #[arg(long, value_name = "FILE")]
-    profile: PathBuf,
+    /// Table of the layers: `thickness_m` (or `depth_m` of their tops), `vs_m_s`, `density_kg_m3`, …, text of PySeismoSoil, or JSON of
+    /// Strata; without one the manifest has one layer that is a guess
+    #[arg(long, value_name = "FILE", required_unless_present = "records")]
+    profile: Option<PathBuf>,
     /// Folder of records: `EVENT.COMPONENT.csv`, raw KiK-net files, or a file, folder or archive an event in any other format
     #[arg(long, value_name = "DIR")]
     records: Option<PathBuf>,
@@ -55,11 +56,7 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         let hint = "take another name, another `--output`, or remove the file";
         return Err(Error::new(format!("`{}` is there already", path.display())).hint(hint).usage());
     }
-    let place = |e: Error| e.at(format!("`{}`", arguments.profile.display())).usage();
-    let text = std::fs::read_to_string(&arguments.profile)
-        .context(|| format!("cannot read the profile `{}`", arguments.profile.display()))
-        .map_err(Error::usage)?;
-    profile_table(&text, None).map_err(place)?;
+    let profile = arguments.profile.as_deref().map(Profile::read).transpose()?;
     let unit = arguments.unit.as_deref().map(AccelerationUnit::named).transpose().map_err(Error::usage)?;
     let mut depths = arguments.sensors.iter().map(|text| depth(text)).collect::<Result<Vec<_>>>()?;
     let named = arguments.channels.iter().map(|text| channel(text)).collect::<Result<Vec<_>>>()?;
@@ -72,11 +69,10 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
         return Err(Error::new("no sensor is below the surface").hint(hint).usage());
     }
     let base_m = depths.iter().map(|s| s.1).fold(None, |deepest: Option<f64>, d| Some(deepest.map_or(d, |m| m.max(d))));
-    let layers = profile_table(&text, base_m).map_err(place)?;
-    if layers.is_empty() {
-        let hint = "a last line of no thickness, or the last of `depth_m`, is the half-space: add a layer above it";
-        return Err(place(Error::new("the profile has no layer").hint(hint)));
-    }
+    let layers = match &profile {
+        Some(profile) => profile.layers(base_m)?,
+        None => vec![LayerRow { thickness_m: base_m.unwrap_or_default(), ..LayerRow::GUESS }],
+    };
     if depths.is_empty() {
         let depth_m = layers.iter().map(|l| l.thickness_m).sum();
         depths = vec![("base".into(), depth_m), ("surface".into(), 0.0)];
@@ -106,7 +102,8 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     let draft = Draft {
         name: arguments.name.clone(),
         layers,
-        water_table_m: arguments.water_table_m.or_else(|| water_table_m(&text)),
+        is_guess: profile.is_none(),
+        water_table_m: arguments.water_table_m.or_else(|| profile.as_ref()?.water_table_m()),
         sensors: depths,
         records,
     };
@@ -118,9 +115,38 @@ pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     if as_json { write_json(&json!({ "manifest": path })) } else { data!("{}", path.display()) }
 }
 
-/// Depth of the water table that a project file of Strata says, m.
-fn water_table_m(text: &str) -> Option<f64> {
-    strata::is_project(text).then(|| strata::project(text).ok())??.water_table_m
+/// The file of a profile.
+struct Profile<'a> {
+    path: &'a Path,
+    text: String,
+}
+
+impl<'a> Profile<'a> {
+    fn read(path: &'a Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).context(|| format!("cannot read the profile `{}`", path.display()));
+        let profile = Self { path, text: text.map_err(Error::usage)? };
+        profile_table(&profile.text, None).map_err(|e| profile.place(e))?;
+        Ok(profile)
+    }
+
+    fn place(&self, error: Error) -> Error {
+        error.at(format!("`{}`", self.path.display())).usage()
+    }
+
+    /// Its layers down to `base_m`, where that is known.
+    fn layers(&self, base_m: Option<f64>) -> Result<Vec<LayerRow>> {
+        let layers = profile_table(&self.text, base_m).map_err(|e| self.place(e))?;
+        if layers.is_empty() {
+            let hint = "a last line of no thickness, or the last of `depth_m`, is the half-space: add a layer above it";
+            return Err(self.place(Error::new("the profile has no layer").hint(hint)));
+        }
+        Ok(layers)
+    }
+
+    /// Depth of the water table that a project file of Strata says, m.
+    fn water_table_m(&self) -> Option<f64> {
+        strata::is_project(&self.text).then(|| strata::project(&self.text).ok())??.water_table_m
+    }
 }
 
 fn depth(text: &str) -> Result<(String, f64)> {

@@ -18,6 +18,8 @@ pub struct Draft {
     pub name: String,
     /// Layers from the surface down.
     pub layers: Vec<LayerRow>,
+    /// Whether these are a guess.
+    pub is_guess: bool,
     /// Depth of the water table, m.
     pub water_table_m: Option<f64>,
     /// Sensors with their depths in m; the deepest is the input.
@@ -71,7 +73,8 @@ impl Draft {
         for (layer, count) in self.layers.iter().zip(&counts) {
             say(format_args!("[[site.layer]]"));
             say(format_args!("thickness_m = {}", number(layer.thickness_m)));
-            say(format_args!("vs_m_s = {}", number(layer.vs_m_s)));
+            let guess = if self.is_guess { " # ? no profile was given: put its layers here" } else { "" };
+            say(format_args!("vs_m_s = {}{guess}", number(layer.vs_m_s)));
             let guess = if layer.density_kg_m3.is_none() { " # ? of wet soil" } else { "" };
             say(format_args!("density_kg_m3 = {}{guess}", number(layer.density_kg_m3.unwrap_or(1900.0))));
             say(format_args!("fineness = {:.3}", *count as f64 / layer.thickness_m / finest));
@@ -96,7 +99,10 @@ impl Draft {
             "# How well what is declared is known, as standard deviations: `flare-pipe schema` has all of them."
         ));
         say(format_args!("[tolerances]"));
-        say(format_args!("vs_ln = 0.05 # ? of ln Vs of a layer; 0.1 to 0.3 where it was not measured in a borehole"));
+        let vs_ln = if self.is_guess { 0.3 } else { 0.05 };
+        say(format_args!(
+            "vs_ln = {vs_ln} # ? of ln Vs of a layer; 0.1 to 0.3 where it was not measured in a borehole"
+        ));
         say(format_args!("model = 0.05 # error of the column itself, as a share of what it adds to its base"));
         text
     }

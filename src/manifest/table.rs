@@ -24,6 +24,12 @@ pub struct LayerRow {
     pub plasticity_index: Option<f64>,
 }
 
+impl LayerRow {
+    /// Stiff soil of no thickness, where nothing is known.
+    pub const GUESS: Self =
+        Self { thickness_m: 0.0, vs_m_s: 300.0, density_kg_m3: None, damping_ratio: None, plasticity_index: None };
+}
+
 const COLUMNS: [&str; 6] = ["thickness_m", "depth_m", "vs_m_s", "density_kg_m3", "damping_ratio", "plasticity_index"];
 /// Columns without a header.
 const PLAIN: [&str; 4] = ["thickness_m", "vs_m_s", "damping_ratio", "density_kg_m3"];
