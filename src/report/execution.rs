@@ -1,4 +1,5 @@
-//! How a report came about: what may differ between two runs of the same manifest, and is therefore put into the page where it is published.
+//! How a report came about: what may differ between two runs of the same manifest, and is therefore put into the page where it is
+//! published.
 
 use super::number;
 use maud::{Markup, html};
