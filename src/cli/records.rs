@@ -85,7 +85,15 @@ pub fn inventory(manifest: &Manifest) -> Result<Vec<Row>> {
         }
     };
     let of_event = |(event, split)| settings.components.iter().map(move |component| (split, event, component));
-    Ok(settings.events().flat_map(of_event).map(|(split, event, component)| row(split, event, component)).collect())
+    let rows: Vec<Row> =
+        settings.events().flat_map(of_event).map(|(split, event, component)| row(split, event, component)).collect();
+    let is_absent = |name: &&String| !rows.iter().any(|row| row.component == **name && row.content.is_some());
+    let absent = settings.components.iter().filter(is_absent).map(|name| {
+        Error::new(format!("component `{name}` has no record of any event in `{}`", dir.display()))
+            .hint("check `records.components` and the names of files, or take the component out")
+            .usage()
+    });
+    Error::all(absent.collect()).map(|()| rows)
 }
 
 fn content(record: &Record, settings: &records::RecordSettings) -> Content {

@@ -69,8 +69,7 @@ enum Found {
 /// Reads every event and component of `settings` from `dir`; `input` and `outputs` are the sensor names of the manifest.
 ///
 /// # Errors
-/// Everything that is wrong at once: the format, the folder, all components of an event or all records of a component are missing, or
-/// files are no sound records.
+/// Everything that is wrong at once: the format, the folder or all components of an event are missing, or files are no sound records.
 pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[String]) -> Result<Records> {
     let reader = Reader::new(settings, dir, input, outputs)?;
     let events: Vec<(&str, Split)> = settings.events().collect();
@@ -95,13 +94,6 @@ pub fn load(settings: &RecordSettings, dir: &Path, input: &str, outputs: &[Strin
         if is_empty {
             wrong.push(reader.nothing_found(event, &read.missing[before..]));
         }
-    }
-    if wrong.is_empty() {
-        let is_empty = |component: &&String| !read.records.iter().any(|(_, record)| record.component == **component);
-        wrong.extend(settings.components.iter().filter(is_empty).map(|component| {
-            let what = format!("component `{component}` has no record of any event in `{}`", dir.display());
-            Error::new(what).hint("check `records.components` and the names of files, or take the component out")
-        }));
     }
     Error::all(wrong).map(|()| read)
 }
