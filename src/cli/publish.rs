@@ -70,7 +70,7 @@ fn report(workspace: &Workspace) -> Result<()> {
     let files = pipeline::outside_files(&site, graph, "records").unwrap_or_default();
     let execution = Execution {
         command: std::env::args().collect::<Vec<_>>().join(" "),
-        commit: commit(&site.manifest_dir),
+        commit: commit(site.manifest_dir),
         stages: pipeline::status(&site, graph)?.into_iter().filter_map(stage).collect(),
         files: files.into_iter().map(|file| (file.name, file.blake3.to_string())).collect(),
     };
