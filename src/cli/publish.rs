@@ -16,8 +16,12 @@ const PAGE: &str = "report.html";
 /// # Errors
 /// When an output cannot be read or a file not be written.
 pub fn publish(workspace: &Workspace) -> Result<()> {
-    metrics(workspace)?;
-    report(workspace)?;
+    let (site, graph) = (workspace.site(), &workspace.graph);
+    if let Ok(folder) = pipeline::output(&site, graph, "report") {
+        let stages = pipeline::status(&site, graph)?;
+        metrics(workspace, &folder, &stages)?;
+        report(workspace, &folder, stages)?;
+    }
     correction(workspace)
 }
 
@@ -54,9 +58,8 @@ pub fn is_page(node: &Node, name: &str) -> bool {
 }
 
 /// `report.html`: what the report stage wrote, and how the results in it were computed.
-fn report(workspace: &Workspace) -> Result<()> {
+fn report(workspace: &Workspace, folder: &Path, stages: Vec<StageStatus>) -> Result<()> {
     let (site, graph) = (workspace.site(), &workspace.graph);
-    let Ok(folder) = pipeline::output(&site, graph, "report") else { return Ok(()) };
     let path = folder.join(PAGE);
     let page = std::fs::read_to_string(&path).context(|| format!("cannot read `{}`", path.display()))?;
     let stage = |s: StageStatus| {
@@ -71,7 +74,7 @@ fn report(workspace: &Workspace) -> Result<()> {
     let execution = Execution {
         command: std::env::args().collect::<Vec<_>>().join(" "),
         commit: commit(site.manifest_dir),
-        stages: pipeline::status(&site, graph)?.into_iter().filter_map(stage).collect(),
+        stages: stages.into_iter().filter_map(stage).collect(),
         files: files.into_iter().map(|file| (file.name, file.blake3.to_string())).collect(),
     };
     write_if_changed(&site.dir().join(PAGE), executed(&page, &execution).as_bytes())?;
@@ -94,19 +97,15 @@ fn commit(folder: &Path) -> Option<String> {
 }
 
 /// `metrics.json`: what the report stage computed, and how long each stage took whenever it ran.
-fn metrics(workspace: &Workspace) -> Result<()> {
-    let site = workspace.site();
-    let Ok(folder) = pipeline::output(&site, &workspace.graph, "report") else { return Ok(()) };
+fn metrics(workspace: &Workspace, folder: &Path, stages: &[StageStatus]) -> Result<()> {
     let path = folder.join("metrics.json");
     let bytes = std::fs::read(&path).context(|| format!("cannot read `{}`", path.display()))?;
     let mut metrics: Map<String, Value> =
         serde_json::from_slice(&bytes).context(|| format!("`{}` is no JSON object", path.display()))?;
-    let timings: Map<String, Value> = pipeline::status(&site, &workspace.graph)?
-        .into_iter()
-        .filter_map(|s| Some((s.stage, json!(s.seconds?))))
-        .collect();
+    let timings: Map<String, Value> =
+        stages.iter().filter_map(|s| Some((s.stage.clone(), json!(s.seconds?)))).collect();
     metrics.insert("timings_s".into(), Value::Object(timings));
     let text = serde_json::to_string_pretty(&metrics).context(|| "cannot write the metrics".into())? + "\n";
-    write_if_changed(&site.dir().join("metrics.json"), text.as_bytes())?;
+    write_if_changed(&workspace.site().dir().join("metrics.json"), text.as_bytes())?;
     Ok(())
 }

@@ -287,6 +287,13 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
+    /// Fits from each of `starts` as far as its stop says, side by side, and keeps these.
+    fn begin(&mut self, starts: &[(Start<'a>, Stop)]) {
+        let fitted = |i: usize| self.fitter.fit(starts[i].0.clone(), starts[i].1).ok();
+        let found = on_threads(starts.len(), fitted);
+        found.into_iter().flatten().for_each(|fit| self.keep(fit));
+    }
+
     /// Fits from `start` and keeps that; what was found, if anything.
     fn finish(&mut self, start: Start<'a>, progress: &dyn Progress) -> Option<Fit<'a>> {
         let found = self.fitter.fit(start, Stop::CLOSE).ok()?;

@@ -1,5 +1,6 @@
 //! What the section "Closing the loop" shows, as plain data.
 
+use crate::diagnosis::Hidden;
 use crate::metrics::Claimed;
 use serde::{Deserialize, Serialize};
 
@@ -32,7 +33,7 @@ pub struct Closing {
     /// What the records say of what is declared.
     pub declared: Vec<DeclaredRow>,
     /// What could be there unnoticed, the best hidden first.
-    pub hidden: Vec<HiddenRow>,
+    pub hidden: Vec<Hidden>,
     /// What remains beside the answer.
     pub rest: Option<Rest>,
     /// Corrections without physical meaning, where nothing named explains the records.
@@ -71,22 +72,6 @@ pub struct DeclaredRow {
     pub estimate: Interval,
     /// By the records without its tolerance, where they tell it.
     pub by_records: Option<Interval>,
-}
-
-/// A kind of effect at the place where the records would show it least.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct HiddenRow {
-    /// Name of the effect.
-    pub kind: String,
-    /// That place; empty for the whole column.
-    pub target: String,
-    /// Its strength parameter.
-    pub parameter: String,
-    /// Unit of the parameter.
-    pub unit: String,
-    /// The smallest strength that would be named in 80 % of cases; none where twice a typical one would not be.
-    pub least: Option<f64>,
 }
 
 /// An effect that was named.

@@ -4,9 +4,10 @@ use maud::{Markup, html};
 
 use super::chart::{self, Axis, Curve, Frame, Marks};
 use super::closing::{claim, interval, words};
-use super::closing_content::{Closing, DeclaredRow, Generic, HiddenRow, Rest};
+use super::closing_content::{Closing, DeclaredRow, Generic, Rest};
 use super::figure::{Key, figure, legend};
 use super::number;
+use crate::diagnosis::Hidden;
 
 /// Whether there is anything to say.
 pub(super) fn is_any(closing: &Closing) -> bool {
@@ -63,7 +64,7 @@ fn declared(rows: &[DeclaredRow]) -> Markup {
     }
 }
 
-fn hidden(rows: &[HiddenRow]) -> Markup {
+fn hidden(rows: &[Hidden]) -> Markup {
     html! {
         h4 { "What could still hide" }
         p { "Of each kind of effect, the place where these records would show it least, and the strength from which it would be named there in four cases of five." }

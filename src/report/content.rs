@@ -7,8 +7,8 @@
 use serde::{Deserialize, Serialize};
 
 pub use super::closing_content::{
-    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, HiddenRow, Interval, Model,
-    NamedEffect, Rest, TransferRow,
+    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest,
+    TransferRow,
 };
 
 pub use super::site_content::{

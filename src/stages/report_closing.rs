@@ -8,8 +8,8 @@ use crate::metrics::{BiasSigma, LnRatio, SensorTransfer};
 use crate::pipeline::Task;
 use crate::records::Split;
 use crate::report::content::{
-    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, HiddenRow, Interval, Model,
-    NamedEffect, Rest, TransferRow,
+    Candidate, Change, Closing, DeclaredRow, ErrorRow, Field, FieldRow, Generic, Interval, Model, NamedEffect, Rest,
+    TransferRow,
 };
 
 /// The section's content, where the pipeline closes the loop.
@@ -76,7 +76,7 @@ pub fn closing(
         field: field(summary),
         transfer: transfer(summary),
         declared: diagnosis.declared.iter().map(declared).collect(),
-        hidden: diagnosis.hidden.iter().map(hidden).collect(),
+        hidden: diagnosis.hidden.clone(),
         rest: diagnosis.rest.as_ref().map(rest),
         generic,
         notes: diagnosis.notes.clone(),
@@ -186,16 +186,6 @@ fn key(kind: &str) -> String {
 fn interval(estimate: &Estimate) -> Interval {
     let Estimate { value, ci95, by_prior, .. } = *estimate;
     Interval { value, unit: estimate.unit.clone(), ci95, by_prior }
-}
-
-fn hidden(found: &diagnosis::Hidden) -> HiddenRow {
-    HiddenRow {
-        kind: found.kind.clone(),
-        target: found.target.clone(),
-        parameter: found.parameter.clone(),
-        unit: found.unit.clone(),
-        least: found.least,
-    }
 }
 
 fn declared(found: &DeclaredValue) -> DeclaredRow {

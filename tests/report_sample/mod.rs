@@ -4,6 +4,7 @@
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
+use flare_pipe::diagnosis::Hidden;
 use flare_pipe::metrics::Claimed;
 use flare_pipe::report::content::*;
 use flare_pipe::report::{self, ExecutedStage, Execution};
@@ -309,13 +310,14 @@ fn closing() -> Closing {
             },
         ],
         hidden: vec![
-            HiddenRow {
+            Hidden {
                 kind: "thin_seam".into(),
                 target: "12.0 m".into(),
                 parameter: "ln_factor".into(),
-                ..HiddenRow::default()
+                unit: String::new(),
+                least: None,
             },
-            HiddenRow {
+            Hidden {
                 kind: "clock_offset".into(),
                 target: "FA1-5".into(),
                 parameter: "offset_s".into(),

@@ -51,17 +51,16 @@ impl<'a> Competition<'a> {
         let telling = least.map(|(_, heat)| heat);
         finals.retain(|heat| telling.as_ref().is_none_or(|t| !is_same_set(&t.model.effects, &heat.model.effects)));
         let of_finals = finals.into_iter().map(|heat| (heat, Stop::ON_THE_WAY));
-        let all: Vec<(Fit<'a>, Stop)> = of_finals.chain(telling.map(|heat| (heat, Stop::CLOSE))).collect();
-        let fitted = |i: usize| {
-            let (heat, stop) = &all[i];
+        let started = |(heat, stop): (Fit<'a>, Stop)| {
             let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
             // Slopes where the heat began lead on from where it ended, unless that is far.
+            let is_near = Self::is_near(&base, &heat);
             let slopes = Self::slopes_of(&base, &model);
-            let start = Start::at(model, heat.x.clone());
-            self.fitter.fit(if Self::is_near(&base, heat) { start.carrying(slopes) } else { start }, *stop).ok()
+            let start = Start::at(model, heat.x);
+            (if is_near { start.carrying(slopes) } else { start }, stop)
         };
-        let fitted = on_threads(all.len(), fitted);
-        fitted.into_iter().flatten().for_each(|fit| self.keep(fit));
+        let starts: Vec<_> = of_finals.chain(telling.map(|heat| (heat, Stop::CLOSE))).map(started).collect();
+        self.begin(&starts);
         self.settle_close(base.labels(), progress)
     }
 

@@ -6,7 +6,6 @@ use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop};
-use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
 
 impl<'a> Competition<'a> {
@@ -24,13 +23,12 @@ impl<'a> Competition<'a> {
         self.most_promising_first(&mut rivals);
         let least = self.log_posterior(&start) - FAR;
         rivals.retain(|rival| self.promise(rival) > least);
-        rivals.truncate(FINALS);
-        let fitted = |i: usize| {
-            let model = Model { declared: leading.model.declared, effects: rivals[i].model.effects.clone() };
-            self.fitter.fit(Start::at(model, rivals[i].x.clone()), Stop::ON_THE_WAY).ok()
+        let started = |rival: Fit<'a>| {
+            let model = Model { declared: leading.model.declared, effects: rival.model.effects };
+            (Start::at(model, rival.x), Stop::ON_THE_WAY)
         };
-        let fitted = on_threads(rivals.len(), fitted);
-        fitted.into_iter().flatten().for_each(|fit| self.keep(fit));
+        let starts: Vec<_> = rivals.into_iter().take(FINALS).map(started).collect();
+        self.begin(&starts);
         self.settle_close(labels, progress)?;
         Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
     }
