@@ -51,7 +51,10 @@ const FAR: f64 = 30.0;
 ///
 /// Source: Madigan and Raftery (1994), doi 10.1080/01621459.1994.10476894, Occam's window.
 const WINDOW: f64 = 3.0;
-/// Most rounds of the competition, and rounds under each of the labels that may be right.
+/// Most rounds of the competition, and rounds under each of the labels that may be right before the more probable half of them goes on to
+/// twice as many.
+///
+/// Source: Jamieson and Talwalkar (2016), arXiv:1502.07943, successive halving.
 const ROUNDS: usize = 24;
 const LABEL_ROUNDS: usize = 2;
 /// Most rounds at the end.
@@ -166,7 +169,8 @@ impl<'a> Competition<'a> {
         self.fits.iter().position(|f| is_same_set(&f.model.effects, effects))
     }
 
-    /// Runs the competition to its end: candidates are looked for under all labels that may be right, then under the most probable.
+    /// Runs the competition to its end: candidates are looked for under all labels that may be right, longest
+    /// under those that do best, then under the most probable.
     ///
     /// # Errors
     /// When an effect cannot be built.
@@ -179,10 +183,15 @@ impl<'a> Competition<'a> {
         all.sort_unstable();
         all.dedup();
         // What is expected of residuals is far off at first, and candidates by it: the labels that lead then need not be right.
-        if all.len() > 1 {
-            for labels in std::iter::repeat_n(&all, LABEL_ROUNDS).flatten() {
-                self.round(labels, progress)?;
+        let mut rounds = LABEL_ROUNDS;
+        while all.len() > 1 {
+            for labels in &all {
+                self.rounds(labels, rounds, progress)?;
             }
+            let reached = |labels: &Vec<usize>| self.log_posterior(self.leading(labels));
+            all.sort_by(|a, b| reached(b).total_cmp(&reached(a)));
+            all.truncate(all.len().div_ceil(2));
+            rounds *= 2;
         }
         for _ in 0..ROUNDS {
             let labels = self.best_named().labels().to_vec();
@@ -191,6 +200,16 @@ impl<'a> Competition<'a> {
             }
         }
         self.settle(progress)
+    }
+
+    /// Looks for candidates under `labels` in so many `rounds`, or until nothing is left to look around.
+    fn rounds(&mut self, labels: &[usize], rounds: usize, progress: &dyn Progress) -> Result<()> {
+        for _ in 0..rounds {
+            if !self.round(labels, progress)? {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Recalibrates the declared model under every exchange of labels that does better than none where nothing is recalibrated: what was

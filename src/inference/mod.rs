@@ -18,6 +18,7 @@ mod competition;
 mod convention;
 mod correlation;
 mod covariance;
+mod density;
 mod depth_modes;
 mod few;
 mod forward;

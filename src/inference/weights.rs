@@ -2,6 +2,7 @@
 
 use super::coherence::{coherent, interpolated};
 use super::covariance::Covariance;
+use super::density::{Residual, shared_error};
 use super::forward::{At, Forward, Predicted, Prediction};
 use super::spread::{AN_OCTAVE, Places, Spread, band_hz, bands, gains, model_error, noise, powers, seen};
 use crate::diagnosis::spectra;
@@ -70,6 +71,10 @@ struct Record {
     /// Coherence, `[sensor][bin]`.
     coherence: Vec<Vec<f64>>,
     bands: Vec<Vec<Band>>,
+    /// Variance of noise and of what strays, `[sensor][bin]`.
+    variance: Vec<Vec<f64>>,
+    /// −ln of the density of the base.
+    base: f64,
 }
 
 /// Residuals in units of what is expected of them.
@@ -83,9 +88,7 @@ struct Record {
 /// steps leave wrong of the motion: the power of the difference of a fine replay and a rough one. m is the declared error of the column, a
 /// share of what it adds to its base, and σ its estimated level ([`Spread`]). That error is alike in all bins of [`ALIKE_OCTAVES`] and in
 /// all records; N is the number of these, so that (1), which takes bins for independent, knows no more of anything smooth than a likelihood
-/// with that correlation would. The determinant is that of an error which at each frequency is one number for all records, as it is read
-/// off them: were it that of [`ALIKE_OCTAVES`] as well, an error that is large and uneven over frequency, such as that of wrong labels,
-/// would cost next to nothing. Where the field strays from its base only amplitudes tell of the column: (2), A being the RMS amplitude of a
+/// with that correlation would. Where the field strays from its base only amplitudes tell of the column: (2), A being the RMS amplitude of a
 /// band of n bins and R the number of records times that of the bands that share the error.
 ///
 /// A field that strays by scattering keeps its power at every frequency: of what was recorded, C² follows the base and 1 − C² does not.
@@ -96,13 +99,15 @@ struct Record {
 /// diagonal the correlation of [`Spread`]. Amplitudes in (2) are taken to be independent from sensor to sensor.
 ///
 /// What strays lasts as long as the motion, a share s of the record: neighbouring bins are alike, and of n of them n s are independent. So
-/// residuals are divided by Σ with 1/s of what strays, and n in (2) is n s; the determinant is that of independent bins.
+/// residuals are divided by Σ with 1/s of what strays, and n in (2) is n s.
 ///
 /// P is the expected power of a record, and P' of what it has beside the base: that of a reference prediction, times what the other events
 /// have over theirs at the same frequency. The power of the record itself would count residuals least where what strays adds to the
 /// prediction, and lead to too little motion. Σ does not change with the prediction, P and H being those of the reference. So a
 /// prediction gains nothing by shrinking, and models that are compared are compared by one Σ; those that take other channels for the same
-/// sensors have one of their own, for what strays beside wrong labels says nothing of the right ones.
+/// sensors have one of their own, for what strays beside wrong labels says nothing of the right ones. Models that are weighed by different
+/// Σ are compared by a density: at the prediction that Σ was read off, (1) and (2) are −ln of that of records whose column errs by one
+/// number at each frequency ([`shared_error`]); the error that counts N times is none, and favours large errors.
 ///
 /// Source: Pintelon and Schoukens (2012), System Identification, for H S_in Hᴴ; Kennedy and O'Hagan (2001),
 /// doi 10.1111/1467-9868.00294, for the error of the column.
@@ -113,8 +118,8 @@ pub struct Weights {
     records: Vec<Record>,
     /// Records that each of these stands for.
     stands_for: Vec<f64>,
-    /// −ln of the density of the records where every residual is nothing: the same for all models that take the same channels for the
-    /// same sensors.
+    /// What half the squares of residuals lack of −ln of the density of the records: the same for all models that take the same channels
+    /// for the same sensors.
     pub constant: f64,
 }
 
@@ -164,15 +169,61 @@ impl Weights {
     /// Weights of the records by `spread`, the transfer functions those of `prediction`.
     fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
         let indices: Vec<usize> = (0..forward.records.len()).collect();
-        let all: Vec<(Record, f64)> =
-            indices.par_iter().map(|i| Self::of(forward, spread, *i, &prediction[*i])).collect();
-        let (records, constants): (Vec<Record>, Vec<f64>) = all.into_iter().unzip();
-        let stands_for = forward.stands_for.clone();
-        let constant = constants.iter().zip(&stands_for).map(|(c, n)| n * c).sum();
-        Self { records, stands_for, constant }
+        let records = indices.par_iter().map(|i| Record::of(forward, spread, *i, &prediction[*i])).collect();
+        let mut weights = Self { records, stands_for: forward.stands_for.clone(), constant: 0.0 };
+        let squares: f64 = weights.rows(prediction).iter().flatten().map(|r| r * r).sum();
+        let error = (spread.level * model_error(forward)).powi(2);
+        weights.constant = weights.beside(forward, prediction, error) - 0.5 * squares;
+        weights
     }
 
-    fn of(forward: &Forward<'_>, spread: &Spread, index: usize, predicted: &Predicted) -> (Record, f64) {
+    /// −ln of the density of the records beside the prediction that these weights were read off, the column's `error` one number at each
+    /// frequency and sensor.
+    fn beside(&self, forward: &Forward<'_>, prediction: &Prediction, error: f64) -> f64 {
+        let places = Places::of(forward);
+        let of_sensor = |s: usize| -> f64 {
+            let mut by_place: Vec<Vec<Residual>> = (0..places.count).map(|_| Vec::new()).collect();
+            for (i, (at, p)) in forward.records.iter().zip(prediction).enumerate() {
+                let Record { coherence, variance, .. } = &self.records[i];
+                let count = self.stands_for[i] * seen(forward, *at).lasting[p.channels[s + 1]];
+                for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
+                    let (added, left) = (p.outputs[s][k] - p.base[k], p.residual(s, k, coherence[s][k]));
+                    by_place[places.at(*f)].push(Residual { count, added, left, variance: variance[s][k] });
+                }
+            }
+            by_place.iter().map(|residuals| shared_error(residuals, error)).sum()
+        };
+        let n_sensor = forward.problem.array.outputs.len();
+        let bases = self.records.iter().zip(&self.stands_for).map(|(record, n)| n * record.base);
+        (0..n_sensor).map(of_sensor).sum::<f64>() + bases.sum::<f64>()
+    }
+
+    /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
+    pub fn rows(&self, prediction: &Prediction) -> Rows {
+        let of = |((record, p), n): ((&Record, &Predicted), &f64)| {
+            record.rows(p).into_iter().map(|r| n.sqrt() * r).collect()
+        };
+        self.records.par_iter().zip(prediction).zip(&self.stands_for).map(of).collect()
+    }
+
+    /// Residuals in these units of what changes outputs alone, of which `slopes` are those in units of `other`, at `prediction`: the same
+    /// change of the outputs. `None` where that is not told: what `other` did not count.
+    pub fn converted(&self, slopes: &Rows, other: &Self, prediction: &Prediction) -> Option<Rows> {
+        let records = self.records.par_iter().zip(&other.records);
+        records.zip(slopes).zip(prediction).map(|(((own, other), slopes), p)| own.converted(slopes, other, p)).collect()
+    }
+}
+
+impl Band {
+    /// Power that is expected of the recorded motion where that of the output is `predicted`.
+    fn expected(&self, predicted: f64, added_share: f64) -> f64 {
+        (predicted + self.noise + added_share * self.added).max(f64::MIN_POSITIVE)
+    }
+}
+
+impl Record {
+    /// Weights of record `index` by `spread`, the transfer functions those of `predicted`.
+    fn of(forward: &Forward<'_>, spread: &Spread, index: usize, predicted: &Predicted) -> Self {
         let at = forward.records[index];
         let f = forward.frequencies_hz(at);
         let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
@@ -212,12 +263,7 @@ impl Weights {
             })
         };
         let sigma = |k: usize| covariance(k, &|s| quiet(s, k) + own(s, k), &|s| strays(s, k) / lasting(s));
-        // That of a covariance in which the error at a frequency is one number for all records.
-        let ln_determinant = |k: usize| {
-            let of_error = |s: usize| own(s, k) / alike(k) * n_record;
-            let broadened: f64 = (0..n_sensor).map(|s| (of_error(s) / (quiet(s, k) + strays(s, k))).ln_1p()).sum();
-            covariance(k, &|s| quiet(s, k), &|s| strays(s, k)).ln_determinant() + broadened / n_record
-        };
+        let variance = |s: usize, k: usize| quiet(s, k) + strays(s, k) + gain[s][k].norm_sqr() * noise[0][k];
         let band = |s: usize, bins: Range<usize>| {
             let n = bins.len() as f64;
             let sum = |of: &dyn Fn(usize) -> f64| bins.clone().map(of).sum::<f64>();
@@ -229,36 +275,13 @@ impl Weights {
             Band { weight, noise: sum(&|k| noise[s + 1][k]), added: sum(&|k| added(s, k)), bins }
         };
         let sigma: Vec<Covariance> = (0..f.len()).map(sigma).collect();
-        let constant = (0..f.len()).map(ln_determinant).sum::<f64>()
-            + input.iter().map(|p| p.max(f64::MIN_POSITIVE).ln()).sum::<f64>();
+        let variance = (0..n_sensor).map(|s| (0..f.len()).map(|k| variance(s, k)).collect()).collect();
+        let of_base: f64 = input.iter().map(|p| p.max(f64::MIN_POSITIVE).ln()).sum();
+        let base = seen(forward, at).lasting[predicted.channels[0]] * of_base;
         let bands = (0..n_sensor).map(|s| bands(f).into_iter().map(|b| band(s, b)).collect()).collect();
-        (Record { sigma, coherence, bands }, constant)
+        Self { sigma, coherence, bands, variance, base }
     }
 
-    /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
-    pub fn rows(&self, prediction: &Prediction) -> Rows {
-        let of = |((record, p), n): ((&Record, &Predicted), &f64)| {
-            record.rows(p).into_iter().map(|r| n.sqrt() * r).collect()
-        };
-        self.records.par_iter().zip(prediction).zip(&self.stands_for).map(of).collect()
-    }
-
-    /// Residuals in these units of what changes outputs alone, of which `slopes` are those in units of `other`, at `prediction`: the same
-    /// change of the outputs. `None` where that is not told: what `other` did not count.
-    pub fn converted(&self, slopes: &Rows, other: &Self, prediction: &Prediction) -> Option<Rows> {
-        let records = self.records.par_iter().zip(&other.records);
-        records.zip(slopes).zip(prediction).map(|(((own, other), slopes), p)| own.converted(slopes, other, p)).collect()
-    }
-}
-
-impl Band {
-    /// Power that is expected of the recorded motion where that of the output is `predicted`.
-    fn expected(&self, predicted: f64, added_share: f64) -> f64 {
-        (predicted + self.noise + added_share * self.added).max(f64::MIN_POSITIVE)
-    }
-}
-
-impl Record {
     /// See [`Weights::converted`].
     fn converted(&self, slopes: &[f64], other: &Self, p: &Predicted) -> Option<Vec<f64>> {
         let n = p.outputs.len();

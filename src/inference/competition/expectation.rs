@@ -39,11 +39,12 @@ impl<'a> Competition<'a> {
         Ok(())
     }
 
-    /// What is expected of the residuals of `forward` beside a fitted model, and ln of the determinant of that.
+    /// What is expected of the residuals of `forward` beside a fitted model, and −ln of the density of the records by that.
     pub(super) fn supported(forward: &Forward<'_>, fit: &Fit<'_>) -> (Expected, f64) {
         let expected = Expected::of(forward, fit.prediction.clone());
-        let ln_determinant = expected.weights(forward).constant;
-        (expected, ln_determinant)
+        let weights = expected.weights(forward);
+        let cost = weights.constant + 0.5 * square(&weights.rows(&fit.prediction));
+        (expected, cost)
     }
 
     /// Whether something is lacking in all models so far: the column is left with more error than is declared, or a response without a name
