@@ -6,6 +6,7 @@ mod export;
 mod gc;
 mod graph;
 mod init;
+mod jobs;
 mod list;
 mod names;
 mod output;

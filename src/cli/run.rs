@@ -1,13 +1,14 @@
 //! `flare-pipe run` and `flare-pipe plan`.
 
 use super::SiteArguments;
+use super::jobs::{JobsArgument, start_threads};
 use super::names::Names;
 use super::output::{data, say, write_json};
 use super::publish::{self, publish};
 use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
 use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::pipeline::{self, Action, Mode, Node, Options, Summary};
 use crate::progress::Quiet;
 use clap::{Args, ValueEnum};
@@ -34,9 +35,8 @@ pub struct RunArguments {
     /// Only say what would run and why
     #[arg(long)]
     dry_run: bool,
-    /// Stages and trajectories computed at once, and threads in all [default: one a core]
-    #[arg(long, value_name = "N")]
-    jobs: Option<usize>,
+    #[command(flatten)]
+    jobs: JobsArgument,
     /// Where ensembles are computed
     #[arg(long, value_enum, default_value = "local")]
     executor: Executor,
@@ -63,11 +63,7 @@ impl RunArguments {
             force: self.force.clone(),
             ..Options::default()
         };
-        match self.jobs {
-            Some(0) => return Err(Error::new("`--jobs` must be at least 1, got 0").usage()),
-            Some(jobs) => options.jobs = jobs,
-            None => {}
-        }
+        options.jobs = self.jobs.or(options.jobs)?;
         Ok(options)
     }
 
@@ -120,8 +116,7 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     let options = arguments.options()?;
     goes_on_when_run_again();
-    // Only the first call in a process sets the pool; results do not depend on its size.
-    let _ = rayon::ThreadPoolBuilder::new().num_threads(options.jobs).build_global();
+    start_threads(options.jobs);
     let site = workspace.site();
     log_to(site.dir().join("log.txt"));
     let terminal = Terminal::new(arguments.verbosity());

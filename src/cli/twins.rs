@@ -1,6 +1,7 @@
 //! `flare-pipe twins`: how well the diagnosis does on twins of a site whose truth is known.
 
 use super::SiteArguments;
+use super::jobs::{JobsArgument, start_threads};
 use super::output::{data, write_json};
 use super::reporter::{Terminal, Verbosity};
 use super::signals::goes_on_when_run_again;
@@ -24,9 +25,8 @@ pub struct TwinsArguments {
     /// Seed of all draws
     #[arg(long, value_name = "N")]
     seed: u32,
-    /// Twins computed at once [default: one a core]
-    #[arg(long, value_name = "N")]
-    jobs: Option<usize>,
+    #[command(flatten)]
+    jobs: JobsArgument,
     /// Say less
     #[arg(short, long)]
     quiet: bool,
@@ -42,6 +42,8 @@ name = 'twins'
 /// # Errors
 /// Usage errors; what the stages cannot do.
 pub fn twins(arguments: &TwinsArguments, json: bool) -> Result<()> {
+    let mut options = Options::default();
+    options.jobs = arguments.jobs.or(options.jobs)?;
     let workspace = Workspace::open(&arguments.site)?;
     if workspace.manifest.site.records.is_none() {
         let what = "the manifest has no `[records]`: which events calibrate, validate and test?";
@@ -59,11 +61,7 @@ pub fn twins(arguments: &TwinsArguments, json: bool) -> Result<()> {
     let graph = Graph::new(&Recipe::parse(RECIPE, "twins")?, STAGES, &table)?;
     let name = format!("{}-twins", workspace.manifest.site.name);
     let site = Site { name: &name, manifest: &table, ..workspace.site() };
-    let mut options = Options::default();
-    if let Some(jobs) = arguments.jobs.filter(|n| *n > 0) {
-        options.jobs = jobs;
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(jobs).build_global();
-    }
+    start_threads(options.jobs);
     goes_on_when_run_again();
     let verbosity = if arguments.quiet { Verbosity::Quiet } else { Verbosity::Normal };
     let summary = pipeline::run(&site, &graph, &options, Mode::Run, &Terminal::new(verbosity))?;
