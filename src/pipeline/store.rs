@@ -138,25 +138,26 @@ impl Store {
 
     /// An entry and all its items by presence and size of their files.
     pub fn state(&self, address: &Address) -> State {
-        self.check(address, false)
+        self.check(address, false, &[])
     }
 
     /// An entry and all its items by content: every file is hashed, and the parts must give the key.
     pub fn verify(&self, address: &Address) -> State {
-        self.check(address, true)
+        self.check(address, true, &[])
     }
 
-    fn check(&self, address: &Address, by_content: bool) -> State {
+    /// Checks an entry that is an item of the entries `above` it.
+    fn check(&self, address: &Address, by_content: bool, above: &[Address]) -> State {
         if !self.dir(address).is_dir() {
             return State::Missing;
         }
-        match self.examine(address, by_content) {
+        match self.examine(address, by_content, above) {
             Ok(outputs) => State::Sound(outputs),
             Err(damage) => State::Damaged(damage),
         }
     }
 
-    fn examine(&self, address: &Address, by_content: bool) -> std::result::Result<Outputs, String> {
+    fn examine(&self, address: &Address, by_content: bool, above: &[Address]) -> std::result::Result<Outputs, String> {
         let dir = self.dir(address);
         let text = fs::read_to_string(dir.join(OUTPUTS)).map_err(|_| format!("no `{OUTPUTS}`"))?;
         let outputs: Outputs = toml::from_str(&text).map_err(|_| format!("`{OUTPUTS}` is not readable"))?;
@@ -176,9 +177,13 @@ impl Store {
                 return Err(format!("`{}` has other content than was written", file.name));
             }
         }
+        let path = [above, std::slice::from_ref(address)].concat();
         for item in outputs.items.iter().filter(|i| i.failure.is_none()) {
             let address = Address::parse(&item.entry).ok_or(format!("`{OUTPUTS}` is not readable"))?;
-            match self.check(&address, by_content) {
+            if path.contains(&address) {
+                return Err(format!("item `{}` holds itself", item.id));
+            }
+            match self.check(&address, by_content, &path) {
                 State::Sound(_) => {}
                 State::Missing => return Err(format!("item `{}` is gone", item.id)),
                 State::Damaged(why) => return Err(format!("item `{}`: {why}", item.id)),
@@ -338,6 +343,18 @@ mod tests {
         assert_eq!(store.state(&whole.address()), State::Damaged("item `001` is gone".to_string()));
         put(&store, &whole, "hello", vec![record(Some("diverged".into()))]);
         assert!(matches!(store.state(&whole.address()), State::Sound(_)));
+    }
+
+    #[test]
+    fn an_entry_that_holds_itself_is_damaged() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let (store, one, other) = (Store::new(dir.path()), parts(1), parts(2));
+        let item = |of: &Parts| ItemRecord { id: "001".into(), entry: of.address().to_string(), failure: None };
+        put(&store, &one, "hello", vec![item(&other)]);
+        put(&store, &other, "hello", vec![item(&one)]);
+        let damaged = "item `001`: item `001` holds itself".to_string();
+        assert_eq!(store.state(&one.address()), State::Damaged(damaged.clone()));
+        assert_eq!(store.verify(&other.address()), State::Damaged(damaged));
     }
 
     #[test]
