@@ -276,7 +276,7 @@ impl Instance {
         super::build(&self.at(&self.start())).map_or(0, |effect| effect.hidden())
     }
 
-    /// Whether it exchanges the labels of two sensors.
+    /// Whether it exchanges the labels of two sensors, or of the components of one.
     pub fn exchanges_labels(&self) -> bool {
         self.free.is_empty() && super::build(&self.at(&[])).is_ok_and(|effect| effect.exchange().is_some())
     }

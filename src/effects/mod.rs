@@ -113,7 +113,7 @@ pub trait Effect: Send + Sync {
         None
     }
 
-    /// Two sensors whose channels are exchanged.
+    /// Two sensors whose channels are exchanged; one twice where its two components are.
     fn exchange(&self) -> Option<(&str, &str)> {
         None
     }

@@ -82,6 +82,6 @@ impl Effect for SwappedChannels {
     }
 
     fn exchange(&self) -> Option<(&str, &str)> {
-        self.with.as_deref().map(|with| (self.sensor.as_str(), with)) // (1)
+        Some((&self.sensor, self.with.as_ref().unwrap_or(&self.sensor))) // (1)
     }
 }

@@ -25,7 +25,7 @@ mod rivals;
 mod scan;
 
 use super::few::Few;
-use super::forward::Prediction;
+use super::forward::{Label, Prediction};
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Start, Stop};
 use super::power::hidden;
@@ -159,8 +159,8 @@ impl<'a> Competition<'a> {
         self.best_of(|fit| fit.model.is_named()).unwrap_or(&self.fits[0])
     }
 
-    /// The most probable model of named effects under `labels`: the channels that the sensors are taken to be recorded on.
-    fn leading(&self, labels: &[usize]) -> &Fit<'a> {
+    /// The most probable model of named effects under `labels`.
+    fn leading(&self, labels: &[Label]) -> &Fit<'a> {
         let is_meant = |fit: &Fit<'a>| fit.model.is_named() && fit.labels() == labels;
         self.best_of(is_meant).unwrap_or(&self.fits[0])
     }
@@ -176,10 +176,7 @@ impl<'a> Competition<'a> {
     /// When an effect cannot be built.
     pub fn run(&mut self, progress: &dyn Progress) -> Result<()> {
         self.exchange_labels(progress)?;
-        // Labels that do no better once everything within its tolerances has been recalibrated are no reason for the rest.
-        let least = self.log_posterior(&self.fits[0]);
-        let may_be_right = self.fits.iter().filter(|fit| self.log_posterior(fit) >= least);
-        let mut all: Vec<Vec<usize>> = may_be_right.map(|fit| fit.labels().to_vec()).collect();
+        let mut all: Vec<Vec<Label>> = self.fits.iter().map(|fit| fit.labels().to_vec()).collect();
         all.sort_unstable();
         all.dedup();
         // What is expected of residuals is far off at first, and candidates by it: the labels that lead then need not be right.
@@ -188,7 +185,7 @@ impl<'a> Competition<'a> {
             for labels in &all {
                 self.rounds(labels, rounds, progress)?;
             }
-            let reached = |labels: &Vec<usize>| self.log_posterior(self.leading(labels));
+            let reached = |labels: &Vec<Label>| self.log_posterior(self.leading(labels));
             all.sort_by(|a, b| reached(b).total_cmp(&reached(a)));
             all.truncate(all.len().div_ceil(2));
             rounds *= 2;
@@ -203,7 +200,7 @@ impl<'a> Competition<'a> {
     }
 
     /// Looks for candidates under `labels` in so many `rounds`, or until nothing is left to look around.
-    fn rounds(&mut self, labels: &[usize], rounds: usize, progress: &dyn Progress) -> Result<()> {
+    fn rounds(&mut self, labels: &[Label], rounds: usize, progress: &dyn Progress) -> Result<()> {
         for _ in 0..rounds {
             if !self.round(labels, progress)? {
                 break;
@@ -289,7 +286,7 @@ impl<'a> Competition<'a> {
 
     /// Goes on with the searches of models under `labels` until none that has not come to its end promises more than the most probable
     /// that has, but for what counts: most models are far behind, wherever their searches end.
-    fn settle_close(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
+    fn settle_close(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<()> {
         for is_named in [true, false] {
             loop {
                 let own = |fit: &Fit<'a>| fit.labels() == labels && fit.model.is_named() == is_named;

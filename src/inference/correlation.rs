@@ -26,7 +26,7 @@ pub fn correlation_at_knots(forward: &Forward<'_>, prediction: &Prediction, cohe
     for (at, p) in forward.records.iter().zip(prediction) {
         let weight = |y: &Vec<C64>| 1.0 / powers(y).iter().sum::<f64>().max(f64::MIN_POSITIVE).sqrt();
         let weights: Vec<f64> = p.measured.iter().map(weight).collect();
-        let lasting = p.channels[1..].iter().map(|c| seen(forward, *at).lasting[*c]).fold(1.0, f64::min);
+        let lasting = p.labels[1..].iter().map(|l| seen(forward, *at).lasting[l.channel]).fold(1.0, f64::min);
         for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
             let residual = |s: usize| p.residual(s, k, interpolated(&coherence[s], *f, ends)) * weights[s];
             let r: Vec<C64> = (0..n).map(residual).collect();

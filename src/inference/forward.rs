@@ -23,6 +23,15 @@ type C64 = Complex<f64>;
 /// One value a bin for each sensor, `[sensor][bin]`.
 pub type Bins = Vec<Vec<C64>>;
 
+/// What a sensor is taken to be labelled with.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Label {
+    /// The channel on which it was recorded.
+    pub channel: usize,
+    /// Whether its components carry each other's name.
+    pub is_crossed: bool,
+}
+
 /// What is predicted of one record.
 #[derive(Debug, Clone)]
 pub struct Predicted {
@@ -32,8 +41,8 @@ pub struct Predicted {
     pub base: Vec<C64>,
     /// What each output sensor recorded, less what instruments added by themselves, `[sensor][bin]`.
     pub measured: Bins,
-    /// The channel on which each sensor was recorded, the input sensor first.
-    pub channels: Vec<usize>,
+    /// The label of each sensor, the input sensor first.
+    pub labels: Vec<Label>,
     /// Share of the power that strays from the base which is of another origin and comes on top of the column's motion.
     pub added_share: f64,
 }
@@ -243,12 +252,12 @@ impl<'a> Forward<'a> {
     /// When an effect cannot be built.
     pub fn recorded(&self, tables: &[Table], motions: &[Bins]) -> Result<Prediction> {
         let built = built(self.problem, tables)?;
-        let sources = self.sources(&built);
+        let labels = self.labels(&built);
         let mut prediction = Vec::with_capacity(self.records.len());
         let mut first = 0;
         for g in 0..self.groups.len() {
             let count = self.groups[g].records.len();
-            prediction.extend(self.of_group(g, &built, &sources, &motions[first..first + count]));
+            prediction.extend(self.of_group(g, &built, &labels, &motions[first..first + count]));
             first += count;
         }
         Ok(prediction)
@@ -270,30 +279,30 @@ impl<'a> Forward<'a> {
     }
 
     /// Recorded channels of group `g` less interference, and the motion of its base, by record.
-    fn bases_of(&self, g: usize, built: &[Box<dyn Effect>], sources: &[usize]) -> (Vec<Bins>, Bins) {
+    fn bases_of(&self, g: usize, built: &[Box<dyn Effect>], labels: &[Label]) -> (Vec<Bins>, Bins) {
         let n_record = self.groups[g].records.len();
         let measured: Vec<Bins> = (0..n_record).map(|record| self.measured(At { group: g, record }, built)).collect();
         let undone: Option<Vec<Operator>> =
             self.operators(g, built, 0).map(|all| all.iter().map(Operator::undone).collect());
-        let recorded: Vec<&[C64]> = measured.iter().map(|m| m[sources[0]].as_slice()).collect();
+        let recorded: Vec<&[C64]> = measured.iter().map(|m| m[labels[0].channel].as_slice()).collect();
         let bases = (0..n_record).map(|r| self.through(g, undone.as_ref(), r, &recorded)).collect();
         (measured, bases)
     }
 
-    /// The channel on which each sensor was recorded, the input sensor first.
-    fn sources(&self, built: &[Box<dyn Effect>]) -> Vec<usize> {
-        (0..self.names.len()).map(|s| self.source(built, s)).collect()
+    /// The label of each sensor, the input sensor first.
+    fn labels(&self, built: &[Box<dyn Effect>]) -> Vec<Label> {
+        (0..self.names.len()).map(|s| self.label(built, s)).collect()
     }
 
     /// Motion of the base in each record.
     pub fn bases(&self, built: &[Box<dyn Effect>]) -> Bins {
-        let sources = self.sources(built);
-        (0..self.groups.len()).flat_map(|g| self.bases_of(g, built, &sources).1).collect()
+        let labels = self.labels(built);
+        (0..self.groups.len()).flat_map(|g| self.bases_of(g, built, &labels).1).collect()
     }
 
-    fn of_group(&self, g: usize, built: &[Box<dyn Effect>], sources: &[usize], motions: &[Bins]) -> Vec<Predicted> {
+    fn of_group(&self, g: usize, built: &[Box<dyn Effect>], labels: &[Label], motions: &[Bins]) -> Vec<Predicted> {
         let n_record = self.groups[g].records.len();
-        let (measured, bases) = self.bases_of(g, built, sources);
+        let (measured, bases) = self.bases_of(g, built, labels);
         let arriving: Vec<&dyn Effect> =
             built.iter().map(AsRef::as_ref).filter(|e| e.arrival(0.0, 1.0).is_some()).collect();
         let n_sensor = self.names.len() - 1;
@@ -321,8 +330,8 @@ impl<'a> Forward<'a> {
         rows.map(|((outputs, base), channels)| Predicted {
             outputs,
             base,
-            measured: sources[1..].iter().map(|channel| channels[*channel].clone()).collect(),
-            channels: sources.to_vec(),
+            measured: labels[1..].iter().map(|label| channels[label.channel].clone()).collect(),
+            labels: labels.to_vec(),
             added_share: 0.0,
         })
         .collect()
@@ -359,15 +368,17 @@ impl<'a> Forward<'a> {
         Some(self.groups[g].frequencies_hz.iter().map(at).collect())
     }
 
-    /// The channel on which the motion of `sensor` was recorded.
-    fn source(&self, built: &[Box<dyn Effect>], sensor: usize) -> usize {
+    /// What the motion of `sensor` is labelled with.
+    fn label(&self, built: &[Box<dyn Effect>], sensor: usize) -> Label {
         let index = |name: &str| self.names.iter().position(|n| n == name);
-        let pairs = built.iter().filter_map(|e| e.exchange());
-        pairs.filter_map(|(a, b)| index(a).zip(index(b))).fold(sensor, |at, (a, b)| match at {
+        let pairs = || built.iter().filter_map(|e| e.exchange()).filter_map(|(a, b)| index(a).zip(index(b)));
+        let channel = pairs().fold(sensor, |at, (a, b)| match at {
             at if at == a => b,
             at if at == b => a,
             at => at,
-        })
+        });
+        let crossings = pairs().filter(|(a, b)| *a == sensor && a == b).count();
+        Label { channel, is_crossed: crossings % 2 == 1 }
     }
 
     /// Further arrivals at output sensor `s` of a record: what arrives late is beyond its end, not at its beginning.
@@ -386,9 +397,9 @@ fn add(to: &mut [Bins], from: &[Bins], factor: f64) {
     }
 }
 
-/// The channels that the sensors of a prediction are taken to be recorded on.
-pub fn channels(prediction: &Prediction) -> &[usize] {
-    prediction.first().map_or(&[], |p| &p.channels)
+/// The labels of the sensors of a prediction.
+pub fn labels(prediction: &Prediction) -> &[Label] {
+    prediction.first().map_or(&[], |p| &p.labels)
 }
 
 /// What is declared, and `tables` on top of it.

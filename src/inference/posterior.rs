@@ -5,7 +5,7 @@ mod slopes;
 
 use super::algebra::{Quadratic, inverse, ln_determinant, solved};
 use super::convention;
-use super::forward::{Forward, Prediction, channels, lock};
+use super::forward::{Forward, Label, Prediction, labels, lock};
 use super::parameters::Model;
 use super::spread::{Spread, band_hz};
 use super::weights::{self, Expected, Rows, Weights};
@@ -49,9 +49,9 @@ pub struct Fit<'a> {
 pub struct Fitter<'a> {
     /// The column and the sensors.
     pub forward: &'a Forward<'a>,
-    /// What is expected of records, and weights, by the channels that the sensors are taken to be recorded on.
-    expected: HashMap<Vec<usize>, Expected>,
-    weights: Mutex<HashMap<Vec<usize>, Arc<Weights>>>,
+    /// What is expected of records, and weights, by the labels of the sensors.
+    expected: HashMap<Vec<Label>, Expected>,
+    weights: Mutex<HashMap<Vec<Label>, Arc<Weights>>>,
     /// The highest frequency that counts, Hz.
     high_hz: f64,
 }
@@ -110,18 +110,18 @@ struct Point {
 impl<'a> Fitter<'a> {
     /// One that weighs residuals as `expected` says.
     pub fn new(forward: &'a Forward<'a>, expected: Expected) -> Self {
-        Self::of(forward, HashMap::from([(channels(&expected.reference).to_vec(), expected)]))
+        Self::of(forward, HashMap::from([(labels(&expected.reference).to_vec(), expected)]))
     }
 
-    fn of(forward: &'a Forward<'a>, expected: HashMap<Vec<usize>, Expected>) -> Self {
+    fn of(forward: &'a Forward<'a>, expected: HashMap<Vec<Label>, Expected>) -> Self {
         Self { forward, expected, weights: Mutex::default(), high_hz: f64::INFINITY }
     }
 
-    /// The same with this for the channels of its reference.
+    /// The same with this for the labels of its reference.
     #[must_use]
     pub fn expecting(&self, expected: Expected) -> Self {
         let mut all = self.expected.clone();
-        all.insert(channels(&expected.reference).to_vec(), expected);
+        all.insert(labels(&expected.reference).to_vec(), expected);
         Self::of(self.forward, all)
     }
 
@@ -130,9 +130,9 @@ impl<'a> Fitter<'a> {
         Self::of(few, self.expected.iter().map(|(taken, expected)| (taken.clone(), expected.in_events(few))).collect())
     }
 
-    /// What is expected of the residuals of models that take the same channels for the same sensors as `prediction`.
+    /// What is expected of the residuals of models with the labels of `prediction`.
     pub fn spread(&self, prediction: &Prediction) -> Option<&Spread> {
-        self.expected.get(channels(prediction)).map(|expected| &expected.spread)
+        self.expected.get(labels(prediction)).map(|expected| &expected.spread)
     }
 
     /// From the fit `found` that `other` weighed: with the same slopes, in units of its own; anew where these are not told. Slopes of what
@@ -183,7 +183,7 @@ impl<'a> Fitter<'a> {
     }
 
     fn weights(&self, prediction: &Prediction) -> Arc<Weights> {
-        let taken = channels(prediction);
+        let taken = labels(prediction);
         let mut known = lock(&self.weights);
         // What strays and what the column has wrong beside other records is to be read off those.
         let own = || Expected::of(self.forward, Arc::new(prediction.clone()));
@@ -259,9 +259,9 @@ impl<'a> Fitter<'a> {
 }
 
 impl Fit<'_> {
-    /// The channels that its sensors are taken to be recorded on.
-    pub fn labels(&self) -> &[usize] {
-        channels(&self.prediction)
+    /// The labels of its sensors.
+    pub fn labels(&self) -> &[Label] {
+        labels(&self.prediction)
     }
 
     /// Whether declared values are as far off as their tolerances allow: they stand in for an effect.

@@ -250,7 +250,7 @@ impl Spread {
         let band_of = |f: f64| (((f / ends[0]).log2() * AN_OCTAVE) as usize).min(n_band - 1);
         let places = Places::of(forward);
         let gain: Vec<Bins> = prediction.iter().map(|p| gains(p, RESOLUTION)).collect();
-        let by_sensor = |(at, p): (&At, &Predicted)| p.channels.iter().map(|c| noise(forward, *at, *c)).collect();
+        let by_sensor = |(at, p): (&At, &Predicted)| p.labels.iter().map(|l| noise(forward, *at, l.channel)).collect();
         let noises: Vec<Vec<Vec<f64>>> = forward.records.iter().zip(prediction).map(by_sensor).collect();
         let numerical = Arc::new(numerical_powers(forward));
         let (mut coherence, mut straying, mut repeatable) = (Vec::new(), Vec::new(), Vec::new());
@@ -272,7 +272,7 @@ impl Spread {
                             noise: noises[s + 1][k],
                             predicted_noise: gain[s][k].norm_sqr() * noises[0][k] + numerical[s][k],
                             added_share: p.added_share,
-                            lasting: seen(forward, *at).lasting[p.channels[s + 1]],
+                            lasting: seen(forward, *at).lasting[p.labels[s + 1].channel],
                         });
                     }
                 }
@@ -371,9 +371,9 @@ pub fn residual_powers(forward: &Forward<'_>, prediction: &Prediction, spread: &
     let half_hz = 0.5 * Places::of(forward).step_hz;
     for ((at, p), numerical) in forward.records.iter().zip(prediction).zip(&*spread.numerical) {
         let gain = gains(p, RESOLUTION);
-        let input = noise(forward, *at, p.channels[0]);
+        let input = noise(forward, *at, p.labels[0].channel);
         for (s, y) in p.measured.iter().enumerate() {
-            let noise = noise(forward, *at, p.channels[s + 1]);
+            let noise = noise(forward, *at, p.labels[s + 1].channel);
             let total: f64 = powers(y).iter().sum::<f64>().max(f64::MIN_POSITIVE);
             for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
                 let c = interpolated(&spread.coherence[s], *f, ends);

@@ -185,7 +185,7 @@ impl Weights {
             let mut by_place: Vec<Vec<Residual>> = (0..places.count).map(|_| Vec::new()).collect();
             for (i, (at, p)) in forward.records.iter().zip(prediction).enumerate() {
                 let Record { coherence, variance, .. } = &self.records[i];
-                let count = self.stands_for[i] * seen(forward, *at).lasting[p.channels[s + 1]];
+                let count = self.stands_for[i] * seen(forward, *at).lasting[p.labels[s + 1].channel];
                 for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
                     let (added, left) = (p.outputs[s][k] - p.base[k], p.residual(s, k, coherence[s][k]));
                     by_place[places.at(*f)].push(Residual { count, added, left, variance: variance[s][k] });
@@ -230,9 +230,9 @@ impl Record {
         let (n_sensor, n_record) = (predicted.outputs.len(), forward.n_record());
         let level = spread.level * model_error(forward);
         let gain = gains(predicted, half);
-        let noise: Vec<Vec<f64>> = predicted.channels.iter().map(|c| noise(forward, at, *c)).collect();
+        let noise: Vec<Vec<f64>> = predicted.labels.iter().map(|l| noise(forward, at, l.channel)).collect();
         let channels = &seen(forward, at).channels;
-        let input = running_mean(&powers(&channels[predicted.channels[0]]), half);
+        let input = running_mean(&powers(&channels[predicted.labels[0].channel]), half);
         let [recorded, beside] = spread.expected.each_ref().map(|powers| &powers[index]);
         let wide: Vec<Vec<f64>> = predicted.measured.iter().map(|y| octave_mean(&powers(y), f)).collect();
         let at_bins = |knots: &Vec<f64>| f.iter().map(|f| interpolated(knots, *f, ends)).collect();
@@ -250,7 +250,7 @@ impl Record {
         let own = |s: usize, k: usize| level * level * alike(k) * beside[s][k];
         let numerical = &spread.numerical[index];
         // What strays lasts as long as the motion, for this share of the record.
-        let lasting = |s: usize| seen(forward, at).lasting[predicted.channels[s + 1]];
+        let lasting = |s: usize| seen(forward, at).lasting[predicted.labels[s + 1].channel];
         let quiet = |s: usize, k: usize| (noise[s + 1][k] + numerical[s][k]).max(f64::MIN_POSITIVE);
         // That of what is independent from sensor to sensor, of what strays, and of the noise of the base.
         let covariance = |k: usize, independent: &dyn Fn(usize) -> f64, strays: &dyn Fn(usize) -> f64| {
@@ -277,7 +277,7 @@ impl Record {
         let sigma: Vec<Covariance> = (0..f.len()).map(sigma).collect();
         let variance = (0..n_sensor).map(|s| (0..f.len()).map(|k| variance(s, k)).collect()).collect();
         let of_base: f64 = input.iter().map(|p| p.max(f64::MIN_POSITIVE).ln()).sum();
-        let base = seen(forward, at).lasting[predicted.channels[0]] * of_base;
+        let base = seen(forward, at).lasting[predicted.labels[0].channel] * of_base;
         let bands = (0..n_sensor).map(|s| bands(f).into_iter().map(|b| band(s, b)).collect()).collect();
         Self { sigma, coherence, bands, variance, base }
     }

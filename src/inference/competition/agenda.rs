@@ -4,12 +4,13 @@ use super::proposals::distinct;
 use super::{Competition, WINDOW, has_set};
 use crate::effects::Instance;
 use crate::error::Result;
+use crate::inference::forward::Label;
 use crate::inference::posterior::{Fit, Stop};
 use crate::progress::Progress;
 
 impl<'a> Competition<'a> {
     /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
-    pub(super) fn round(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
+    pub(super) fn round(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<bool> {
         self.renew_anchor(labels, Stop::CLOSE)?;
         self.renew_spread(labels, progress)?;
         self.renew_parts(labels)?;
@@ -30,7 +31,7 @@ impl<'a> Competition<'a> {
 
     /// The models to be looked around under `labels`: the leading one less each of its effects, and what is nearly as probable, or, where
     /// something is lacking, the best of each number of effects.
-    fn agenda(&self, labels: &[usize], is_lacking: bool) -> Vec<Vec<Instance>> {
+    fn agenda(&self, labels: &[Label], is_lacking: bool) -> Vec<Vec<Instance>> {
         let leading = self.leading(labels);
         let effects = &leading.model.effects;
         let without = |i: usize| [&effects[..i], &effects[i + 1..]].concat();

@@ -5,7 +5,7 @@ use super::agenda::best_of_each_number;
 use super::{Competition, FAR, TOLD, is_same_set};
 use crate::effects::Instance;
 use crate::error::Result;
-use crate::inference::forward::Forward;
+use crate::inference::forward::{Forward, Label};
 use crate::inference::posterior::{Fit, Fitter, Start, Stop, combined, square};
 use crate::inference::weights::Expected;
 use crate::numerics::threads::on_threads;
@@ -21,7 +21,7 @@ const OTHER: [f64; 2] = [0.7, 0.2];
 impl<'a> Competition<'a> {
     /// Takes out what few elements leave wrong beside the best model under `labels` and fits that anew, until the records cannot tell what
     /// is left of it.
-    pub(super) fn renew_anchor(&mut self, labels: &[usize], stop: Stop) -> Result<()> {
+    pub(super) fn renew_anchor(&mut self, labels: &[Label], stop: Stop) -> Result<()> {
         for _ in 0..ANCHORS {
             let best = self.best_of(|fit| fit.labels() == labels).unwrap_or(&self.fits[0]).clone();
             self.fitter.forward.anchor(&best.model.tables(&best.x))?;
@@ -50,7 +50,7 @@ impl<'a> Competition<'a> {
     /// Whether something is lacking in all models so far: the column is left with more error than is declared, or a response without a name
     /// does better than all named effects. It may then be found beside any of the best of no more effects than those that lead: what leads
     /// may be what stands in for it.
-    pub(super) fn is_lacking(&self, labels: &[usize]) -> bool {
+    pub(super) fn is_lacking(&self, labels: &[Label]) -> bool {
         let best = self.best_of(|fit| fit.labels() == labels);
         best.is_some_and(|best| {
             let level = self.fitter.spread(&best.prediction).map_or(1.0, |spread| spread.level);
@@ -61,7 +61,7 @@ impl<'a> Competition<'a> {
     /// Reads off what is expected of residuals under `labels`, and weighs anew whatever is close, if that has changed: searches go on where
     /// they promise to count. What the column has wrong and what strays is what no model explains: the model beside which least of it is
     /// left tells how much it is, for all of them.
-    pub(super) fn renew_spread(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
+    pub(super) fn renew_spread(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<()> {
         let own = self.fits.iter().filter(|f| f.labels() == labels && f.is_settled);
         let supported = own.map(|f| (f, Self::supported(self.fitter.forward, f)));
         let least = supported.min_by(|a, b| a.1.1.total_cmp(&b.1.1));

@@ -3,6 +3,7 @@
 
 use super::{Competition, FAR, coordinates, has_set, is_same_set};
 use crate::error::Result;
+use crate::inference::forward::Label;
 use crate::inference::posterior::{Fit, Start, Stop};
 use crate::inference::spread::band_hz;
 use crate::numerics::random;
@@ -28,7 +29,7 @@ impl<'a> Competition<'a> {
 
     /// Fits the most probable model under `labels` from draws of velocities, in few events and, what ended elsewhere, in all, and keeps where
     /// these ended. Whether one does better than where it was.
-    pub(super) fn explore(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
+    pub(super) fn explore(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<bool> {
         let leading = self.leading(labels).clone();
         if !self.has_modes() || has_set(&self.explored, &leading.model.effects) {
             return Ok(false);
@@ -53,7 +54,7 @@ impl<'a> Competition<'a> {
     }
 
     /// Goes on with whatever does better where another close model has what is declared: what ended at another mode is no match for it.
-    pub(super) fn exchange_modes(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<()> {
+    pub(super) fn exchange_modes(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<()> {
         if !self.has_modes() {
             return Ok(());
         }
@@ -72,7 +73,7 @@ impl<'a> Competition<'a> {
 
     /// Takes the searches of parts of the best model under `labels` to their ends, from where it is if they do better there: what ended on
     /// the way there is no match for it.
-    pub(super) fn renew_parts(&mut self, labels: &[usize]) -> Result<()> {
+    pub(super) fn renew_parts(&mut self, labels: &[Label]) -> Result<()> {
         loop {
             let best = self.leading(labels).model.effects.clone();
             for part in (0..best.len()).map(|i| [&best[..i], &best[i + 1..]].concat()) {

@@ -4,6 +4,7 @@ use super::scan::Ground;
 use super::{Competition, FAR, FINALS, has_set, is_same_set};
 use crate::effects::{self, Instance};
 use crate::error::Result;
+use crate::inference::forward::Label;
 use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::progress::Progress;
@@ -11,7 +12,7 @@ use crate::progress::Progress;
 impl<'a> Competition<'a> {
     /// Fits what could be taken for each effect of the most probable model under `labels`, in its place, to all events: the place of what
     /// is named is claimed with it. Whether there is another most probable model now.
-    pub(super) fn challenge(&mut self, labels: &[usize], progress: &dyn Progress) -> Result<bool> {
+    pub(super) fn challenge(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<bool> {
         let leading = self.leading(labels).clone();
         if has_set(&self.challenged, &leading.model.effects) {
             return Ok(false);
