@@ -169,8 +169,8 @@ impl<'a> Competition<'a> {
         self.fits.iter().position(|f| is_same_set(&f.model.effects, effects))
     }
 
-    /// Runs the competition to its end: candidates are looked for under all labels that may be right, longest
-    /// under those that do best, then under the most probable.
+    /// Runs the competition to its end: candidates are looked for under all labels that may be right, longest under those that do best,
+    /// then under the most probable.
     ///
     /// # Errors
     /// When an effect cannot be built.

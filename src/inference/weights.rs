@@ -121,6 +121,8 @@ pub struct Weights {
     /// What half the squares of residuals lack of −ln of the density of the records: the same for all models that take the same channels
     /// for the same sensors.
     pub constant: f64,
+    /// −ln of the density of the records beside the prediction that these were read off.
+    pub beside: f64,
 }
 
 /// `rows` with nothing above `high_hz`.
@@ -170,16 +172,17 @@ impl Weights {
     fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
         let indices: Vec<usize> = (0..forward.records.len()).collect();
         let records = indices.par_iter().map(|i| Record::of(forward, spread, *i, &prediction[*i])).collect();
-        let mut weights = Self { records, stands_for: forward.stands_for.clone(), constant: 0.0 };
+        let mut weights = Self { records, stands_for: forward.stands_for.clone(), constant: 0.0, beside: 0.0 };
         let squares: f64 = weights.rows(prediction).iter().flatten().map(|r| r * r).sum();
         let error = (spread.level * model_error(forward)).powi(2);
-        weights.constant = weights.beside(forward, prediction, error) - 0.5 * squares;
+        weights.beside = weights.density(forward, prediction, error);
+        weights.constant = weights.beside - 0.5 * squares;
         weights
     }
 
     /// −ln of the density of the records beside the prediction that these weights were read off, the column's `error` one number at each
     /// frequency and sensor.
-    fn beside(&self, forward: &Forward<'_>, prediction: &Prediction, error: f64) -> f64 {
+    fn density(&self, forward: &Forward<'_>, prediction: &Prediction, error: f64) -> f64 {
         let places = Places::of(forward);
         let of_sensor = |s: usize| -> f64 {
             let mut by_place: Vec<Vec<Residual>> = (0..places.count).map(|_| Vec::new()).collect();
@@ -252,17 +255,17 @@ impl Record {
         // What strays lasts as long as the motion, for this share of the record.
         let lasting = |s: usize| seen(forward, at).lasting[predicted.labels[s + 1].channel];
         let quiet = |s: usize, k: usize| (noise[s + 1][k] + numerical[s][k]).max(f64::MIN_POSITIVE);
-        // That of what is independent from sensor to sensor, of what strays, and of the noise of the base.
-        let covariance = |k: usize, independent: &dyn Fn(usize) -> f64, strays: &dyn Fn(usize) -> f64| {
+        // Of what is independent from sensor to sensor, of what strays, and of the noise of the base.
+        let sigma = |k: usize| {
             let common = interpolated(&spread.correlation, f[k], ends);
+            let strays = |s: usize| strays(s, k) / lasting(s);
             Covariance::new(n_sensor, |i, j| {
-                let own = if i == j { independent(i) } else { 0.0 };
+                let own = if i == j { quiet(i, k) + own(i, k) } else { 0.0 };
                 let of_base = gain[i][k] * gain[j][k].conj() * noise[0][k];
                 let astray = if i == j { strays(i) } else { common * (strays(i) * strays(j)).sqrt() };
                 of_base + astray + own
             })
         };
-        let sigma = |k: usize| covariance(k, &|s| quiet(s, k) + own(s, k), &|s| strays(s, k) / lasting(s));
         let variance = |s: usize, k: usize| quiet(s, k) + strays(s, k) + gain[s][k].norm_sqr() * noise[0][k];
         let band = |s: usize, bins: Range<usize>| {
             let n = bins.len() as f64;

@@ -42,9 +42,8 @@ impl<'a> Competition<'a> {
     /// What is expected of the residuals of `forward` beside a fitted model, and −ln of the density of the records by that.
     pub(super) fn supported(forward: &Forward<'_>, fit: &Fit<'_>) -> (Expected, f64) {
         let expected = Expected::of(forward, fit.prediction.clone());
-        let weights = expected.weights(forward);
-        let cost = weights.constant + 0.5 * square(&weights.rows(&fit.prediction));
-        (expected, cost)
+        let density = expected.weights(forward).beside;
+        (expected, density)
     }
 
     /// Whether something is lacking in all models so far: the column is left with more error than is declared, or a response without a name
