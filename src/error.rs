@@ -17,6 +17,7 @@ pub struct Error {
     cause: Option<Box<dyn std::error::Error + Send + Sync>>,
     hint: Option<String>,
     is_usage: bool,
+    is_of_model: bool,
     rendered: Option<String>,
     is_told: bool,
 }
@@ -30,6 +31,7 @@ impl Error {
             cause: None,
             hint: None,
             is_usage: false,
+            is_of_model: false,
             rendered: None,
             is_told: false,
         }
@@ -61,6 +63,19 @@ impl Error {
     pub fn usage(mut self) -> Self {
         self.is_usage = true;
         self
+    }
+
+    /// Marks an outcome of the model itself, such as equations without a solution: it is the same on every machine and at every time,
+    /// so that an ensemble records it as what became of an item. Whatever else goes wrong is of the machine or a defect.
+    #[must_use]
+    pub fn of_model(mut self) -> Self {
+        self.is_of_model = true;
+        self
+    }
+
+    /// Whether the model itself has no result.
+    pub fn is_of_model(&self) -> bool {
+        self.is_of_model
     }
 
     /// Replaces the rendering by a prepared text (manifest problems with carets, several at once).

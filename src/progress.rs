@@ -8,6 +8,10 @@ pub trait Progress: Sync {
     fn advance(&self, steps: u64);
     /// A short remark for the log and beside the bar ("validation 12.3 %").
     fn note(&self, text: &str);
+    /// A remark that people should see however little they asked to be told.
+    fn warn(&self, text: &str) {
+        self.note(text);
+    }
 }
 
 /// Listens to nothing.

@@ -54,6 +54,9 @@ impl Stage for Ensemble {
     fn reads(&self) -> &'static [&'static str] {
         &[]
     }
+    fn hands_on_items(&self) -> bool {
+        true
+    }
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let item = |number: usize| Item {
             id: format!("{number:03}"),

@@ -50,7 +50,7 @@ pub fn all_sensor_histories(
         Ok(())
     });
     let finished = |(run, histories): (std::result::Result<_, Failure>, _)| {
-        run.map(|_| histories).map_err(|failure| Error::new(failure.to_string()))
+        run.map(|_| histories).map_err(|failure| Error::new(failure.to_string()).of_model())
     };
     runs.into_iter().zip(histories).map(finished).collect()
 }

@@ -154,7 +154,8 @@ impl<'a> Forward<'a> {
             let record = &self.groups[at.group].records[at.record];
             let event = &self.problem.events[record.event];
             let unfinished = |reason: &String| {
-                Error::new("the column did not finish").cause(reason.as_str()).at(format!("event `{}`", event.name))
+                let error = Error::new("the column did not finish").cause(reason.as_str()).of_model();
+                error.at(format!("event `{}`", event.name))
             };
             let motion = motions[record.event].as_ref().map_err(unfinished)?;
             Ok(motion.iter().map(|history| self.bins(*at, history)).collect())

@@ -162,13 +162,29 @@ impl<'a> Planner<'a> {
         self.forced.contains(&node)
     }
 
+    /// The output of a node by content, with its items where these are handed on.
+    pub(super) fn content(&self, node: usize, address: &Address) -> State {
+        if self.graph.nodes()[node].stage.hands_on_items() {
+            self.store.verify(address)
+        } else {
+            self.store.verify_files(address)
+        }
+    }
+
+    /// The output of a node: by content where it is published or decides what comes after it, by size elsewhere.
+    fn state(&self, node: usize, address: &Address) -> State {
+        let nodes = self.graph.nodes();
+        let is_looked_into = !nodes[node].publishes.is_empty() || nodes.iter().any(|other| other.manifest == Some(node));
+        if is_looked_into { self.store.verify_files(address) } else { self.store.state(address) }
+    }
+
     /// The key of a node, if everything it depends on is known.
     pub(super) fn resolve(&self, node: usize, resolved: &[Option<Resolved>]) -> Result<Option<Resolved>> {
         let node = &self.graph.nodes()[node];
         let of = |index: usize| resolved.get(index).and_then(Option::as_ref);
         let other_manifest = match node.manifest {
             None => None,
-            Some(source) => match of(source).filter(|s| matches!(self.store.state(&s.address), State::Sound(_))) {
+            Some(source) => match of(source).filter(|s| matches!(self.state(source, &s.address), State::Sound(_))) {
                 None => return Ok(None),
                 Some(source) => {
                     let mut manifest = self.site.manifest.clone();
@@ -232,7 +248,7 @@ impl<'a> Planner<'a> {
     /// The decision about a node whose key is known.
     pub(super) fn decide(&self, index: usize, resolved: &Resolved) -> Decision {
         let node = &self.graph.nodes()[index];
-        let state = self.store.state(&resolved.address);
+        let state = self.state(index, &resolved.address);
         let is_sound = matches!(state, State::Sound(_));
         let last = self.memory.last(&node.name);
         let mut reasons = match state {

@@ -3,7 +3,7 @@
 use super::files::list;
 use super::lock::Lease;
 use super::site::Memory;
-use super::{Address, Key, Lock, Store};
+use super::{Address, Key, Lock, Outputs, Store};
 use crate::error::{Context, Error, Result};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -97,7 +97,10 @@ fn kept(
         if !kept.insert(address.clone()) {
             continue;
         }
-        if let Some(outputs) = store.outputs(&address) {
+        let dir = store.dir(&address);
+        if dir.is_dir() {
+            let hint = "run the site again, which mends it, then collect";
+            let outputs = Outputs::read(&dir).map_err(|e| e.hint(hint))?;
             open.extend(outputs.items.iter().filter_map(|item| Address::parse(&item.entry)));
         }
         if let Some(parts) = store.parts(&address) {

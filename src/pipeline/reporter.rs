@@ -122,4 +122,8 @@ impl Progress for StageProgress<'_> {
     fn note(&self, text: &str) {
         self.reporter.event(&Event::Note { stage: self.stage, text });
     }
+
+    fn warn(&self, text: &str) {
+        self.reporter.event(&Event::Warning { stage: self.stage, text });
+    }
 }

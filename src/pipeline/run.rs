@@ -8,6 +8,7 @@ use super::reporter::StageProgress;
 use super::store::{Outputs, Published};
 use super::{Action, Address, Decision, Event, Graph, Lock, Options, OutsideFile, Reason, Reporter, Site, State, Task};
 use crate::error::{Error, Result};
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
@@ -83,6 +84,7 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
         decisions: summary.decisions.clone(),
         board: Mutex::new(Board { stand: progress, resolved, summary: &mut summary }),
         moved: Condvar::new(),
+        looked_into: Mutex::default(),
     };
     std::thread::scope(|scope| {
         for _ in 0..options.jobs.clamp(1, n_open.max(1)).min(n_open) {
@@ -122,7 +124,11 @@ fn stored(planner: &Planner<'_>, graph: &Graph, stage: &str) -> Result<Address> 
     };
     let (decisions, resolved) = planner.plan()?;
     match (&decisions[index].action, &resolved[index]) {
-        (Action::Cached, Some(known)) => Ok(known.address.clone()),
+        (Action::Cached, Some(known)) => match planner.content(index, &known.address) {
+            State::Damaged(why) => Err(Error::new(format!("the output of `{stage}` is damaged: {why}"))
+                .hint(format!("`flare-pipe run` with `--only {stage} --force {stage}` computes it again"))),
+            _ => Ok(known.address.clone()),
+        },
         _ => Err(Error::new(format!("the output of `{stage}` is not up to date: {}", decisions[index].reason()))
             .hint(format!("`flare-pipe run` computes it, and with `--until {stage}` what it needs alone"))),
     }
@@ -170,6 +176,8 @@ struct Crew<'a> {
     decisions: Vec<Decision>,
     board: Mutex<Board<'a>>,
     moved: Condvar,
+    /// Stages whose outputs were found to be as written.
+    looked_into: Mutex<BTreeSet<usize>>,
 }
 
 impl<'a> Crew<'a> {
@@ -243,9 +251,33 @@ impl<'a> Crew<'a> {
                 (known, decision)
             }
         };
-        let is_computed = decision.action != Action::Cached && self.compute(index, &known, &decision, inputs)?;
+        let is_computed = decision.action != Action::Cached && {
+            self.mend_inputs(index, inputs)?;
+            self.compute(index, &known, &decision, inputs)?
+        };
         settle(planner, index, &known)?;
         Ok((known, is_computed))
+    }
+
+    /// Computes again what a stage is about to read and has other content than was written.
+    fn mend_inputs(&self, index: usize, inputs: &[Option<Resolved>]) -> Result<()> {
+        for input in self.planner.graph.nodes()[index].dependencies() {
+            let Some(known) = &inputs[input] else { continue };
+            if self.looked_into().contains(&input) {
+                continue;
+            }
+            if let State::Damaged(why) = self.planner.content(input, &known.address) {
+                let decision = Decision { reasons: vec![Reason::Damaged(why)], ..self.decisions[input].clone() };
+                self.mend_inputs(input, inputs)?;
+                self.compute(input, known, &decision, inputs)?;
+            }
+            self.looked_into().insert(input);
+        }
+        Ok(())
+    }
+
+    fn looked_into(&self) -> MutexGuard<'_, BTreeSet<usize>> {
+        self.looked_into.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn compute(
@@ -262,7 +294,7 @@ impl<'a> Crew<'a> {
         let _lock = Lock::acquire(&store.lock_path(&known.address), |owner| {
             self.reporter.event(&Event::Waits { stage, owner: owner.as_ref() });
         })?;
-        let state = store.state(&known.address);
+        let state = planner.content(index, &known.address);
         let was_sound = matches!(state, State::Sound(_));
         if was_sound && !is_forced {
             self.reporter.event(&Event::Note { stage, text: "was computed meanwhile by another run" });

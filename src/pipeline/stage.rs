@@ -48,6 +48,11 @@ pub trait Stage: Send + Sync {
         &[]
     }
 
+    /// Whether those who read its output read its items too: what is damaged of these is then found before they do.
+    fn hands_on_items(&self) -> bool {
+        false
+    }
+
     /// Does the work.
     ///
     /// # Errors

@@ -1,16 +1,16 @@
 //! Finished outputs by key: `<run-dir>/cache/<kind>-v<version>/<key>/`.
 //!
-//! An entry holds what the stage wrote, `stage.toml` (the parts of its key), `outputs.toml` (its files with size and hash,
-//! its items) and `timing.toml`, the only file that may differ between two computations of the same entry. Entries are built
-//! in `<key>.partial` beside and renamed when everything is on the disk.
+//! An entry holds what the stage wrote, `stage.toml` (the parts of its key), `outputs.toml` (its files with size and hash, its items, and
+//! a seal: the hash of these and of the parts) and `timing.toml`, the only file that may differ between two computations of the same
+//! entry. Entries are built in `<key>.partial` beside and renamed when everything is on the disk.
 
 use super::files::{list, remove_dir, sync_dir, sync_tree};
-use super::key::{Address, Parts, file_hash};
+use super::key::{Address, Parts, content_hash, file_hash};
 use super::lock::Owner;
 use crate::error::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 const STAGE: &str = "stage.toml";
 const OUTPUTS: &str = "outputs.toml";
@@ -39,10 +39,32 @@ impl Outputs {
     /// # Errors
     /// When it does not say so legibly.
     pub(super) fn read(dir: &Path) -> Result<Self> {
-        let path = dir.join(OUTPUTS);
-        let what = || format!("cannot read `{}`", path.display());
-        toml::from_str(&fs::read_to_string(&path).context(what)?).context(what)
+        Self::unsealed(dir).map_err(|damage| Error::new(format!("`{}` is damaged: {damage}", dir.display())))
     }
+
+    fn unsealed(dir: &Path) -> std::result::Result<Self, String> {
+        let text = |name: &str| fs::read_to_string(dir.join(name)).map_err(|_| format!("`{name}` cannot be read"));
+        let (sealed, parts) = (text(OUTPUTS)?, text(STAGE)?);
+        let own = sealed.split_once('\n').filter(|(line, rest)| *line == seal(&parts, rest));
+        let (_, rest) = own.ok_or(format!("`{OUTPUTS}` or `{STAGE}` has other content than was written"))?;
+        let outputs: Self = toml::from_str(rest).map_err(|_| format!("`{OUTPUTS}` cannot be read"))?;
+        let is_inside = |f: &&OutputFile| Path::new(&f.name).components().all(|c| matches!(c, Component::Normal(_)));
+        match outputs.files.iter().find(|f| !is_inside(f)) {
+            Some(file) => Err(format!("`{}` is not inside", file.name)),
+            None => Ok(outputs),
+        }
+    }
+
+    /// As it is written beside `parts`.
+    fn sealed(&self, parts: &str) -> std::result::Result<String, toml::ser::Error> {
+        let text = toml::to_string(self)?;
+        Ok(format!("{}\n{text}", seal(parts, &text)))
+    }
+}
+
+/// First line of `outputs.toml`, where the rest of it is `outputs` and `stage.toml` is `parts`.
+fn seal(parts: &str, outputs: &str) -> String {
+    format!("seal = \"{}\"", content_hash(format!("{parts}\0{outputs}").as_bytes()))
 }
 
 /// One file of an entry.
@@ -89,6 +111,14 @@ pub enum State {
     Damaged(String),
     /// A finished entry.
     Sound(Outputs),
+}
+
+/// How closely an entry is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Depth {
+    Sizes,
+    Files,
+    Everything,
 }
 
 /// What became of a new output.
@@ -138,34 +168,36 @@ impl Store {
 
     /// An entry and all its items by presence and size of their files.
     pub fn state(&self, address: &Address) -> State {
-        self.check(address, false, &[])
+        self.check(address, Depth::Sizes, &[])
+    }
+
+    /// An entry by content, every file being hashed, and its items by size.
+    pub fn verify_files(&self, address: &Address) -> State {
+        self.check(address, Depth::Files, &[])
     }
 
     /// An entry and all its items by content: every file is hashed, and the parts must give the key.
     pub fn verify(&self, address: &Address) -> State {
-        self.check(address, true, &[])
+        self.check(address, Depth::Everything, &[])
     }
 
     /// Checks an entry that is an item of the entries `above` it.
-    fn check(&self, address: &Address, by_content: bool, above: &[Address]) -> State {
+    fn check(&self, address: &Address, depth: Depth, above: &[Address]) -> State {
         if !self.dir(address).is_dir() {
             return State::Missing;
         }
-        match self.examine(address, by_content, above) {
+        match self.examine(address, depth, above) {
             Ok(outputs) => State::Sound(outputs),
             Err(damage) => State::Damaged(damage),
         }
     }
 
-    fn examine(&self, address: &Address, by_content: bool, above: &[Address]) -> std::result::Result<Outputs, String> {
+    fn examine(&self, address: &Address, depth: Depth, above: &[Address]) -> std::result::Result<Outputs, String> {
         let dir = self.dir(address);
-        let text = fs::read_to_string(dir.join(OUTPUTS)).map_err(|_| format!("no `{OUTPUTS}`"))?;
-        let outputs: Outputs = toml::from_str(&text).map_err(|_| format!("`{OUTPUTS}` is not readable"))?;
-        if by_content {
-            let parts = self.parts(address).ok_or(format!("`{STAGE}` is not readable"))?;
-            if parts.address() != *address {
-                return Err(format!("`{STAGE}` does not give its key"));
-            }
+        let outputs = Outputs::unsealed(&dir)?;
+        let by_content = depth != Depth::Sizes;
+        if by_content && self.parts(address).is_none_or(|parts| parts.address() != *address) {
+            return Err(format!("`{STAGE}` does not give its key"));
         }
         for file in &outputs.files {
             let path = dir.join(&file.name);
@@ -179,11 +211,11 @@ impl Store {
         }
         let path = [above, std::slice::from_ref(address)].concat();
         for item in outputs.items.iter().filter(|i| i.failure.is_none()) {
-            let address = Address::parse(&item.entry).ok_or(format!("`{OUTPUTS}` is not readable"))?;
+            let address = Address::parse(&item.entry).ok_or(format!("item `{}` is nowhere", item.id))?;
             if path.contains(&address) {
                 return Err(format!("item `{}` holds itself", item.id));
             }
-            match self.check(&address, by_content, &path) {
+            match self.check(&address, if depth == Depth::Everything { depth } else { Depth::Sizes }, &path) {
                 State::Sound(_) => {}
                 State::Missing => return Err(format!("item `{}` is gone", item.id)),
                 State::Damaged(why) => return Err(format!("item `{}`: {why}", item.id)),
@@ -192,7 +224,7 @@ impl Store {
         Ok(outputs)
     }
 
-    /// What an entry says it consists of, unchecked.
+    /// What an entry says it consists of, its files unchecked.
     pub fn outputs(&self, address: &Address) -> Option<Outputs> {
         Outputs::read(&self.dir(address)).ok()
     }
@@ -249,8 +281,9 @@ impl Store {
         }
         let Owner { host, since_unix_s: done_unix_s, .. } = Owner::this_process();
         let timing = Timing { seconds, host, done_unix_s };
-        fs::write(draft.join(STAGE), toml::to_string(parts).context(what)?).context(what)?;
-        fs::write(draft.join(OUTPUTS), toml::to_string(&outputs).context(what)?).context(what)?;
+        let stage = toml::to_string(parts).context(what)?;
+        fs::write(draft.join(OUTPUTS), outputs.sealed(&stage).context(what)?).context(what)?;
+        fs::write(draft.join(STAGE), stage).context(what)?;
         fs::write(draft.join(TIMING), toml::to_string(&timing).context(what)?).context(what)?;
         sync_tree(&draft).context(what)?;
         let is_replaced = dir.exists();

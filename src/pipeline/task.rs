@@ -165,12 +165,13 @@ impl Task<'_> {
 
     /// Computes an ensemble, several items at a time, each with a cache entry of its own that appears when it is done: a
     /// killed ensemble goes on where it was, and one that grew computes what is new. `compute` gets the index of the item and
-    /// an empty folder. A failed item does not stop the others. Outcomes are in the order of `items`.
+    /// an empty folder. An item for which the model has no result ([`Error::of_model`]) is recorded as failed and stops no other.
+    /// Outcomes are in the order of `items`.
     ///
     /// Bump `version` when the same parameters would give other numbers.
     ///
     /// # Errors
-    /// When the cache cannot be written.
+    /// When the cache cannot be written, or an item ends in another error.
     pub fn items(
         &self,
         kind: &str,

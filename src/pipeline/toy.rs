@@ -85,7 +85,7 @@ impl Stage for Join {
     }
 }
 
-/// `ensemble.count` items, of which those in `ensemble.broken` fail.
+/// `ensemble.count` items, of which those in `ensemble.broken` have no result and `ensemble.defect` cannot be written.
 struct Ensemble;
 
 impl Stage for Ensemble {
@@ -102,7 +102,7 @@ impl Stage for Ensemble {
         &["ensemble"]
     }
     fn unkeyed(&self) -> &'static [&'static str] {
-        &["log"]
+        &["log", "ensemble.defect"]
     }
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let count: usize = task.section("ensemble.count")?;
@@ -114,8 +114,11 @@ impl Stage for Ensemble {
         let items: Vec<Item> = (0..count).map(item).collect();
         let outcomes = task.items("toy-item", 1, &items, |index, dir| {
             tell(task, &format!("item {index}"))?;
+            if task.optional::<usize>("ensemble.defect")? == Some(index) {
+                return Err(Error::new("no space left"));
+            }
             if broken.contains(&index) {
-                return Err(Error::new(format!("item {index} is broken")));
+                return Err(Error::new(format!("item {index} is broken")).of_model());
             }
             put(&dir.join("number"), &index.to_string())
         })?;

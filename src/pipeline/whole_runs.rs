@@ -187,6 +187,72 @@ fn broken_items_are_recorded_and_a_grown_ensemble_computes_what_is_new() {
 }
 
 #[test]
+fn an_item_that_the_machine_failed_fails_its_stage_and_is_recorded_nowhere() {
+    let place = Place::new("about = 'x'\n[[stage]]\nname = 'ensemble'\n");
+    let one = Options { jobs: 1, ..Options::default() };
+    let summary = place.run("ensemble = { count = 5, broken = [0], defect = 2 }", &one).expect("runs");
+    assert_eq!(summary.failures[0].error.what(), "no space left");
+    assert_eq!(place.computed(), ["item 0", "item 1", "item 2"]);
+    assert!(place.files().keys().all(|name| !name.contains("/ensemble-v1/")));
+    place.run("ensemble = { count = 5, broken = [0] }", &one).expect("runs");
+    assert_eq!(place.computed(), ["item 0", "item 2", "item 3", "item 4"]);
+}
+
+/// Makes another byte of the last one of a file, as a failing disk might.
+fn flip(path: &Path) {
+    let mut bytes = fs::read(path).expect("readable");
+    *bytes.last_mut().expect("a byte") ^= 1;
+    fs::write(path, bytes).expect("writable");
+}
+
+#[test]
+fn what_a_stage_reads_is_as_it_was_written_or_is_computed_again() {
+    let place = Place::new(CHAIN);
+    place.run(MANIFEST, &Options::default()).expect("runs");
+    let runs = place.path("runs");
+    let edited = MANIFEST.replace("prefix = 'a'", "prefix = 'b'");
+    place.run(&edited, &Options::default()).expect("runs");
+    let right = place.bytes();
+    place.computed();
+    let flipped = runs.join(published_entry(&place, "number")).join("value");
+    for (damaged, name) in [(flipped, "value"), (runs.join(published_entry(&place, "number")).join("outputs.toml"), "")] {
+        if name.is_empty() { fs::write(&damaged, "").expect("writable") } else { flip(&damaged) }
+        fs::remove_dir_all(runs.join(published_entry(&place, "fit.NS"))).expect("removable");
+        place.run(&edited, &Options::default()).expect("runs");
+        assert_eq!(place.computed(), ["fit.NS", "number"]);
+        assert_eq!(place.bytes(), right);
+    }
+    let shown = || place.with(&edited, |site, graph| output(site, graph, "number"));
+    flip(&runs.join(published_entry(&place, "number")).join("value"));
+    let refused = shown().expect_err("other content").to_string();
+    assert!(refused.contains("the output of `number` is damaged: `value` has other content"), "{refused}");
+}
+
+#[test]
+fn what_is_published_is_as_it_was_written_or_is_computed_again() {
+    let place = Place::new(CHAIN);
+    place.run(MANIFEST, &Options::default()).expect("runs");
+    let right = place.bytes();
+    place.computed();
+    flip(&place.path("runs").join(published_entry(&place, "all")).join("value.txt"));
+    flip(&place.path("runs/toy/value.txt"));
+    place.run(MANIFEST, &Options::default()).expect("runs");
+    assert_eq!(place.computed(), ["all"]);
+    assert_eq!(place.bytes(), right);
+}
+
+#[test]
+fn an_ensemble_takes_no_item_that_is_not_as_it_was_written() {
+    let place = Place::new("about = 'x'\n[[stage]]\nname = 'ensemble'\n");
+    place.run("ensemble = { count = 3 }", &Options::default()).expect("runs");
+    place.computed();
+    let item = place.bytes().into_keys().find(|n| n.contains("toy-item-v1") && n.ends_with("number")).expect("an item");
+    flip(&place.path("runs").join(item));
+    place.run("ensemble = { count = 4 }", &Options::default()).expect("runs");
+    assert_eq!(place.computed().len(), 2);
+}
+
+#[test]
 fn a_damaged_item_is_computed_again_and_nothing_else_but_its_ensemble() {
     let place = Place::new(CHAIN);
     place.run(MANIFEST, &Options::default()).expect("runs");

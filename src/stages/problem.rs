@@ -286,7 +286,7 @@ impl Bench<'_> {
         let shaken = shake(self.task, sections, instrument.effects(), &motions)?;
         if shaken.iter().all(Result::is_err) {
             let reason = shaken.into_iter().find_map(Result::err).unwrap_or_default();
-            return Err(Error::new("the column finished in no event").cause(reason));
+            return Err(Error::new("the column finished in no event").cause(reason).of_model());
         }
         let step_s = sections.analysis.output_step_s;
         let at_records = |(record, response): (&Record, Response)| {

@@ -61,7 +61,7 @@ impl Stage for Replay {
                         names.iter().zip(&outputs).map(|(n, h)| (n.as_str(), h.as_slice())).collect();
                     write_table(&task.output_dir().join(name), step_s, &columns)?;
                 }
-                Err(reason) => task.progress().note(&format!("the column did not finish {name}: {reason}")),
+                Err(reason) => task.progress().warn(&format!("the column did not finish {name}: {reason}")),
             }
         }
         Ok(())

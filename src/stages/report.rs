@@ -4,6 +4,7 @@ use super::artifact::{read_json, read_table, write_json};
 use super::evaluate::{self, Both, Evaluation};
 use super::motions::MotionSummary;
 use super::{compare, dataset, distill, motions, pretrain, report_closing, report_events, source_study};
+use crate::dataset::Index;
 use crate::error::{Context, Result};
 use crate::flare::{Calibration, Guard, SourceModel, SparseEncoder, reconstruct};
 use crate::metrics::{DAMPING, Quartiles, log_periods_s, median, psa, timewise_error_percent};
@@ -37,7 +38,7 @@ impl Stage for Report {
     }
 
     fn version(&self) -> u32 {
-        9
+        10
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -160,15 +161,13 @@ fn guard_metrics(guard: &GuardContent) -> Value {
 /// The content; of what is `trained` where the pipeline trains something.
 fn content(task: &Task<'_>, trained: Option<(Evaluation, evaluate::Axis)>) -> Result<Content> {
     let is_twin = task.optional::<String>("records.format")?.as_deref() == Some("twin");
-    let notices = if is_twin {
-        vec![
-            "The records of this site are synthetic twins: computed by a column with parameters, noise and effects of \
-             its own that the manifest does not declare. They are not measurements, whatever their names."
-                .to_string(),
-        ]
-    } else {
-        Vec::new()
-    };
+    let mut notices = Vec::new();
+    if is_twin {
+        let text = "The records of this site are synthetic twins: computed by a column with parameters, noise and effects of \
+                    its own that the manifest does not declare. They are not measurements, whatever their names.";
+        notices.push(text.to_string());
+    }
+    notices.extend(unfinished(task)?);
     let content = Content {
         site: task.section("name")?,
         description: vec![task.optional("about")?.unwrap_or_default()],
@@ -189,6 +188,20 @@ fn content(task: &Task<'_>, trained: Option<(Evaluation, evaluate::Axis)>) -> Re
         scores: scores(&evaluation),
         ..content
     })
+}
+
+/// Says which motions of the ensemble the column did not finish: nothing was learned from them.
+fn unfinished(task: &Task<'_>) -> Result<Option<String>> {
+    if !task.has_input("simulate") {
+        return Ok(None);
+    }
+    let index = Index::read(&task.input("simulate")?.join("index.json"))?;
+    let ids: Vec<&str> = index.failures().map(|(id, _)| id).collect();
+    let text = || {
+        let [n, of, ids] = [ids.len().to_string(), index.cases.len().to_string(), ids.join(", ")];
+        format!("The column did not finish under {n} of {of} motions, from which nothing was learned: {ids}.")
+    };
+    Ok((!ids.is_empty()).then(text))
 }
 
 fn motions_content(task: &Task<'_>) -> Result<MotionsContent> {

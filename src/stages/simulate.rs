@@ -46,6 +46,10 @@ impl Stage for Simulate {
         narrow(parameters, Concern::Column);
     }
 
+    fn hands_on_items(&self) -> bool {
+        true
+    }
+
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let mut sections = super::records::column(task)?;
         let depths_m = sections.sensor_depths_m(&effects::build_all(&sections.effects)?);
@@ -135,7 +139,7 @@ fn simulate(
             sensors_m_s2: &sensors_m_s2,
         })
     });
-    let summary = run.map_err(|failure| Error::new(failure.to_string()).at(format!("motion `{}`", motion.id)))?;
+    let summary = run.map_err(|failure| Error::from(failure).at(format!("motion `{}`", motion.id)))?;
     writer.note("steps", summary.steps);
     writer.note("cuts", summary.cuts);
     writer.note("fronts", summary.fronts);
@@ -155,7 +159,7 @@ fn relative(folder: &Path) -> Result<PathBuf> {
 fn judge(task: &Task<'_>, index: &Index) -> Result<()> {
     let failures: Vec<(&str, &str)> = index.failures().collect();
     for (id, reason) in &failures {
-        task.progress().note(&format!("motion {id} did not finish: {}", reason.lines().next().unwrap_or_default()));
+        task.progress().warn(&format!("motion {id} did not finish: {}", reason.lines().next().unwrap_or_default()));
     }
     let share = failures.len() as f64 / index.cases.len().max(1) as f64;
     if share > MAX_FAILED_SHARE {

@@ -92,10 +92,10 @@ impl Ensemble<'_> {
     }
 
     fn is_done(&self, job: &Job) -> bool {
-        !self.is_forced && matches!(self.store.state(&job.address), State::Sound(_))
+        !self.is_forced && matches!(self.store.verify(&job.address), State::Sound(_))
     }
 
-    /// Why items have no output. An `Err` means that the cache itself does not work.
+    /// Why the model has no result for some items. An `Err` is of the machine or a defect: no more items are begun.
     fn compute_all(&self, jobs: &[Job]) -> Result<BTreeMap<Address, String>> {
         let next = AtomicUsize::new(0);
         let held_elsewhere = Mutex::new(Vec::new());
@@ -107,7 +107,7 @@ impl Ensemble<'_> {
             self.progress.advance(1);
             Ok(())
         };
-        let work = || -> Result<()> {
+        let begin = || -> Result<()> {
             while let Some(job) = jobs.get(next.fetch_add(1, Ordering::Relaxed)) {
                 let permit = self.permits.take();
                 match Lock::try_acquire(&self.store.lock_path(&job.address))? {
@@ -127,6 +127,7 @@ impl Ensemble<'_> {
                 finish(job, lock)?;
             }
         };
+        let work = || begin().inspect_err(|_| next.store(jobs.len(), Ordering::Relaxed));
         let (available, count) = (threads::available(), self.permits.total.min(jobs.len()));
         let own = || threads::sharing(available, count, work);
         std::thread::scope(|scope| {
@@ -140,7 +141,7 @@ impl Ensemble<'_> {
     }
 
     fn compute_one(&self, job: &Job, _lock: Lock) -> Result<std::result::Result<(), String>> {
-        match self.store.state(&job.address) {
+        match self.store.verify(&job.address) {
             State::Sound(_) if !self.is_forced => return Ok(Ok(())),
             State::Damaged(why) => {
                 self.progress.note(&format!("`{}` is damaged ({why}) and computed again", job.address))
@@ -149,9 +150,9 @@ impl Ensemble<'_> {
         }
         let draft = self.store.draft(&job.address)?;
         let start = Instant::now();
-        if let Err(failure) = guarded(|| (self.compute)(job.index, &draft)) {
+        if let Err(error) = guarded(|| (self.compute)(job.index, &draft)) {
             crate::pipeline::files::remove_dir(&draft)?;
-            return Ok(Err(failure.to_string()));
+            return if error.is_of_model() { Ok(Err(error.to_string())) } else { Err(error) };
         }
         self.store.publish(&job.parts, Vec::new(), start.elapsed().as_secs_f64())?;
         Ok(Ok(()))
