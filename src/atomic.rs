@@ -1,4 +1,4 @@
-//! Files that appear whole or not at all: written beside, flushed to disk, renamed.
+//! Files that appear whole or not at all: written beside, flushed to disk, renamed; and files to read that are files.
 
 use crate::error::{Context, Result};
 use std::fs::File;
@@ -58,6 +58,14 @@ pub fn write(target: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> io::Resul
     let mut out = BufWriter::with_capacity(1 << 16, file);
     fill(&mut out).and_then(|()| out.flush()).context(|| format!("cannot write `{}`", target.display()))?;
     partial.publish(out.get_ref())
+}
+
+/// Opens a file to read. A pipe or a device, which may never end, is none.
+///
+/// # Errors
+/// When there is no such file, or it cannot be read.
+pub fn open(path: &Path) -> io::Result<File> {
+    if std::fs::metadata(path)?.is_file() { File::open(path) } else { Err(io::Error::other("it is no regular file")) }
 }
 
 #[cfg(test)]

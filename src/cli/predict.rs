@@ -3,8 +3,9 @@
 use super::SiteArguments;
 use super::output::write_json;
 use super::workspace::Workspace;
+use crate::atomic;
 use crate::dataset::{Header, Sample, TrajectoryWriter};
-use crate::error::{Context, Error, Result};
+use crate::error::{Error, Result};
 use crate::numerics::resample::{half_steps, resample_band_limited};
 use crate::pipeline;
 use crate::records::csv as csv_records;
@@ -39,6 +40,12 @@ pub struct PredictArguments {
 /// # Errors
 /// When the model is not stored, a file does not hold what it should, or the latent state leaves its bounds.
 pub fn predict(arguments: &PredictArguments, json: bool) -> Result<()> {
+    let written = arguments.output.canonicalize().ok();
+    let is_read = |path: &&PathBuf| written.is_some() && path.canonicalize().ok() == written;
+    if let Some(path) = [&arguments.input, &arguments.window].into_iter().find(is_read) {
+        let what = format!("`--output` is `{}`, which is read", path.display());
+        return Err(Error::new(what).hint("give the prediction a name of its own").usage());
+    }
     let workspace = Workspace::open(&arguments.site)?;
     let site = workspace.site();
     let folder = |stage: &str| pipeline::output(&site, &workspace.graph, stage);
@@ -88,15 +95,16 @@ struct Event<'a> {
 
 impl Event<'_> {
     fn write_csv(&self, path: &Path) -> Result<()> {
-        let what = || format!("cannot write `{}`", path.display());
-        let mut writer = csv::Writer::from_path(path).context(what)?;
-        writer.write_record(std::iter::once("time_s").chain(self.names.iter().map(String::as_str))).context(what)?;
-        for k in 0..self.predicted.first().map_or(0, Vec::len) {
-            let time = format!("{:.6}", (self.start + k) as f64 * self.step_s);
-            let row = self.predicted.iter().map(|h| h[k].to_string());
-            writer.write_record(std::iter::once(time).chain(row)).context(what)?;
-        }
-        writer.flush().context(what)
+        atomic::write(path, |out| {
+            let mut writer = csv::Writer::from_writer(out);
+            writer.write_record(std::iter::once("time_s").chain(self.names.iter().map(String::as_str)))?;
+            for k in 0..self.predicted.first().map_or(0, Vec::len) {
+                let time = format!("{:.6}", (self.start + k) as f64 * self.step_s);
+                let row = self.predicted.iter().map(|h| h[k].to_string());
+                writer.write_record(std::iter::once(time).chain(row))?;
+            }
+            writer.flush()
+        })
     }
 
     fn write_mcap(&self, path: &Path) -> Result<()> {

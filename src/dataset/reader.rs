@@ -3,6 +3,7 @@
 use super::message::{Base, Response, Sensors};
 use super::writer::METADATA;
 use crate::error::{Context, Error, Result};
+use crate::records::check_expansion;
 use mcap::records::Record;
 use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message;
@@ -88,6 +89,7 @@ fn decode(bytes: &[u8]) -> Result<Trajectory> {
 /// Hands every record to `on`, all checksums of the file verified.
 fn visit(bytes: &[u8], on: &mut dyn FnMut(Record) -> Result<()>) -> Result<()> {
     let unsound = || "the file is not a whole MCAP file".to_string();
+    check_expansion(bytes)?;
     let mut reader = LinearReader::new_with_options(
         LinearReaderOptions::default()
             .with_prevalidate_chunk_crcs(true)

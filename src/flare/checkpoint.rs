@@ -253,7 +253,11 @@ impl<'a> Reader<'a> {
     }
 
     fn floats(&self, name: &str, n: usize) -> Result<Vec<f32>> {
-        Ok(floats(self.data(name, Dtype::F32, n)?))
+        let values = floats(self.data(name, Dtype::F32, n)?);
+        match values.iter().position(|v| !v.is_finite()) {
+            Some(i) => Err(Error::new(format!("value {i} of tensor `{name}` of `{}` is not finite", self.name))),
+            None => Ok(values),
+        }
     }
 
     fn mask(&self, name: &str, n: usize) -> Result<Vec<bool>> {

@@ -8,7 +8,8 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView, serialize};
 use std::collections::HashMap;
 use std::path::Path;
 
-const FILE: &str = "training.safetensors";
+/// Safetensors, followed by the BLAKE3 of all before it.
+const FILE: &str = "training.state";
 
 /// Where a training keeps its state, and under which fingerprint.
 pub type Checkpoint<'a> = Option<(&'a Path, String)>;
@@ -98,20 +99,25 @@ impl Snapshot {
             .context(describe)?;
         let mut card = self.texts.clone();
         card.insert("fingerprint".into(), fingerprint.into());
-        let bytes = serialize(views, Some(card)).context(describe)?;
+        let mut bytes = serialize(views, Some(card)).context(describe)?;
+        bytes.extend(blake3::hash(&bytes).as_bytes());
         std::fs::create_dir_all(dir).context(describe)?;
         super::checkpoint::publish(&dir.join(FILE), &bytes)
     }
 
     /// The snapshot of the same training (`fingerprint`) if there is a sound one in `dir`.
     pub fn load(dir: &Path, fingerprint: &str) -> Option<Self> {
-        let bytes = std::fs::read(dir.join(FILE)).ok()?;
-        let (_, metadata) = SafeTensors::read_metadata(&bytes).ok()?;
+        let stored = std::fs::read(dir.join(FILE)).ok()?;
+        let (bytes, hash) = stored.split_last_chunk::<{ blake3::OUT_LEN }>()?;
+        if blake3::hash(bytes) != *hash {
+            return None;
+        }
+        let (_, metadata) = SafeTensors::read_metadata(bytes).ok()?;
         let texts = metadata.metadata().clone()?;
         if texts.get("fingerprint")? != fingerprint {
             return None;
         }
-        let tensors = SafeTensors::deserialize(&bytes).ok()?;
+        let tensors = SafeTensors::deserialize(bytes).ok()?;
         let mut snapshot = Self { texts, ..Self::default() };
         tensors.iter().for_each(|(name, tensor)| snapshot.put(name, tensor.dtype(), tensor.data().to_vec()));
         Some(snapshot)

@@ -138,7 +138,7 @@ pub fn content_hash(bytes: &[u8]) -> String {
 
 /// BLAKE3 of a file's content, hexadecimal.
 pub(super) fn file_hash(path: &Path) -> Result<String> {
-    let file = std::fs::File::open(path).context(|| format!("cannot read `{}`", path.display()))?;
+    let file = crate::atomic::open(path).context(|| format!("cannot read `{}`", path.display()))?;
     let mut hash = blake3::Hasher::new();
     hash.update_reader(file).context(|| format!("cannot read `{}`", path.display()))?;
     Ok(hash.finalize().to_hex().to_string())

@@ -3,7 +3,7 @@
 //! The operating system holds the lock, so a killed owner releases it; the text in the file only says who it is. The file is
 //! removed on release, hence a new owner must look again whether the name still leads to the file it has locked.
 
-use crate::error::{Context, Result};
+use crate::error::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, OpenOptions, TryLockError};
 use std::io::Write;
@@ -52,8 +52,7 @@ impl Lock {
                 Err(TryLockError::WouldBlock) => return Ok(None),
                 Err(TryLockError::Error(e)) => return Err(e).context(what),
             }
-            let locked = file.metadata().context(what)?;
-            if !fs::metadata(path).is_ok_and(|named| (named.dev(), named.ino()) == (locked.dev(), locked.ino())) {
+            if !has_name(&file, path) {
                 continue; // the last owner removed the file between our open and our lock
             }
             let mut lock = Self { file, path: path.to_path_buf() };
@@ -100,14 +99,27 @@ impl Lock {
 
 impl Drop for Lock {
     fn drop(&mut self) {
-        // Name first, lock second (on close): whoever locks the nameless file sees that it has no name and starts over.
-        let _ = fs::remove_file(&self.path);
+        // Name first, lock second (on close): whoever locks the nameless file sees that it has no name and starts over. Where somebody
+        // removed the name before, the file that has it now is of another owner.
+        if has_name(&self.file, &self.path) {
+            let _ = fs::remove_file(&self.path);
+        }
     }
+}
+
+/// Whether `path` leads to this open file.
+fn has_name(file: &File, path: &Path) -> bool {
+    let place = |found: fs::Metadata| (found.dev(), found.ino());
+    file.metadata().ok().map(place) == fs::metadata(path).ok().map(place)
 }
 
 /// The file of a lock, made with its folder where it is not there.
 fn lock_file(path: &Path) -> Result<File> {
     let what = || format!("cannot lock `{}`", path.display());
+    if path.is_symlink() {
+        let what = format!("`{}` is a lock and may not be a link: it would be written through", path.display());
+        return Err(Error::new(what).hint("remove it"));
+    }
     if let Some(folder) = path.parent() {
         fs::create_dir_all(folder).context(|| format!("cannot make the folder `{}`", folder.display()))?;
     }
@@ -152,6 +164,44 @@ impl Lease {
     }
 }
 
+/// A share in the folder of a site for runs with the same settings; the last of them removes the file that says which.
+#[derive(Debug)]
+pub(super) struct Agreement {
+    file: File,
+    path: PathBuf,
+}
+
+impl Agreement {
+    /// A share; `None` where a run with other `settings` has one.
+    ///
+    /// # Errors
+    /// When the file cannot be made or locks are not supported there.
+    pub fn on(path: &Path, settings: &str) -> Result<Option<Self>> {
+        let what = || format!("cannot lock `{}`", path.display());
+        loop {
+            let file = lock_file(path)?;
+            if file.try_lock().is_ok() {
+                fs::write(path, settings).context(what)?;
+                file.unlock().context(what)?;
+            }
+            file.lock_shared().context(what)?;
+            if !has_name(&file, path) {
+                continue; // the last of other runs removed it meanwhile
+            }
+            let is_agreed = fs::read_to_string(path).context(what)? == settings;
+            return Ok(is_agreed.then(|| Self { file, path: path.to_path_buf() }));
+        }
+    }
+}
+
+impl Drop for Agreement {
+    fn drop(&mut self) {
+        if self.file.try_lock().is_ok() && has_name(&self.file, &self.path) {
+            let _ = fs::remove_file(&self.path);
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -175,6 +225,40 @@ mod tests {
             }
         });
         assert_eq!(most.load(Ordering::SeqCst), 1);
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn a_lock_is_no_link_and_an_owner_whose_file_was_removed_leaves_that_of_the_next() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let (path, outside) = (dir.path().join("key.lock"), dir.path().join("outside"));
+        fs::write(&outside, "mine").expect("writable");
+        std::os::unix::fs::symlink(&outside, &path).expect("writable");
+        assert!(Lock::try_acquire(&path).expect_err("a link").what().contains("may not be a link"));
+        assert_eq!(fs::read_to_string(&outside).expect("readable"), "mine");
+        fs::remove_file(&path).expect("removable");
+        let first = Lock::try_acquire(&path).expect("lockable").expect("free");
+        fs::remove_file(&path).expect("removable");
+        let second = Lock::try_acquire(&path).expect("lockable").expect("its name is free");
+        drop(first);
+        assert!(path.exists());
+        drop(second);
+        assert!(!path.exists());
+    }
+
+    #[test]
+    fn runs_agree_on_settings_or_the_later_is_refused() {
+        let dir = tempfile::tempdir().expect("a temporary folder");
+        let path = dir.path().join("settings");
+        let take = |settings| Agreement::on(&path, settings).expect("lockable");
+        let (first, second) = (take("a").expect("free"), take("a").expect("the same"));
+        assert!(take("b").is_none());
+        drop(first);
+        assert!(take("b").is_none());
+        drop(second);
+        let other = take("b").expect("free again");
+        assert!(take("a").is_none());
+        drop(other);
         assert!(!path.exists());
     }
 

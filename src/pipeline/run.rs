@@ -3,8 +3,9 @@
 use super::decide::{Planner, Resolved};
 use super::executor::{Permits, guarded};
 use super::files::remove_dir;
-use super::lock::Lease;
+use super::lock::{Agreement, Lease};
 use super::reporter::StageProgress;
+use super::site::EARLIER;
 use super::store::{Outputs, Published};
 use super::{Action, Address, Decision, Event, Graph, Lock, Options, OutsideFile, Reason, Reporter, Site, State, Task};
 use crate::error::{Error, Result};
@@ -77,6 +78,7 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
         Some(Err(error)) if n_open > 0 => return Err(error),
         other => other,
     };
+    let _agreed = if n_open > 0 { Some(agree(site, graph)?) } else { None };
     let crew = Crew {
         planner: &planner,
         reporter,
@@ -91,7 +93,17 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
             scope.spawn(|| crew.work());
         }
     });
+    crew.set_aside()?;
     Ok(summary)
+}
+
+/// A share in the folder of the site for runs with these settings: with others they would publish over one another.
+fn agree(site: &Site<'_>, graph: &Graph) -> Result<Agreement> {
+    let (path, settings) = site.settings(graph)?;
+    Agreement::on(&path, &settings)?.ok_or_else(|| {
+        let what = format!("a run of site `{}` with other settings is at work in `{}`", site.name, site.run_dir.display());
+        Error::new(what).hint("wait for it, or give one of the two another `name` in its manifest")
+    })
 }
 
 /// Folder of the stored output of one stage, for commands that read results.
@@ -227,6 +239,22 @@ impl<'a> Crew<'a> {
         }
     }
 
+    /// Moves what was published of stages that are not done aside, so that nobody takes it for what failed.
+    fn set_aside(&self) -> Result<()> {
+        let board = self.board();
+        for (index, node) in self.planner.graph.nodes().iter().enumerate() {
+            if board.stand[index] != Stand::Broken {
+                continue;
+            }
+            let moved = self.planner.site.set_aside(node)?;
+            if !moved.is_empty() {
+                let text = format!("{} of an earlier run moved to `{EARLIER}`", moved.join(", "));
+                self.reporter.event(&Event::Warning { stage: &node.name, text: &text });
+            }
+        }
+        Ok(())
+    }
+
     fn skip_what_cannot_run(&self, board: &mut Board<'_>) {
         let nodes = self.planner.graph.nodes();
         for (index, node) in nodes.iter().enumerate() {
@@ -307,6 +335,7 @@ impl<'a> Crew<'a> {
         }
         self.reporter.event(&Event::Started { stage, last_s: decision.last_s });
         let progress = StageProgress::new(stage, self.reporter);
+        let draft = store.draft(&known.address)?;
         let played = |links: &Vec<super::Link>| {
             let path = |node: usize| inputs[node].as_ref().map(|input| store.dir(&input.address));
             links.iter().filter_map(|link| Some((link.instance.clone(), path(link.node)?))).collect()
@@ -317,7 +346,7 @@ impl<'a> Crew<'a> {
             parameters: known.parameters.clone(),
             manifest_dir: planner.site.manifest_dir,
             inputs: node.inputs.iter().map(|(role, links)| (role.clone(), played(links))).collect(),
-            output_dir: store.draft(&known.address)?,
+            output_dir: draft.dir.clone(),
             checkpoint_dir: store.checkpoint_dir(&known.address),
             store,
             permits: &self.permits,

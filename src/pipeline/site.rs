@@ -1,7 +1,7 @@
 //! The folder of one site: which entries its stages used last, and copies of the files people look at.
 
 use super::files::{copy_if_changed, write_if_changed};
-use super::{Address, Node, Store};
+use super::{Address, Graph, Node, Store, content_hash};
 use crate::error::{Context, Error, Result};
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 const LAST: &str = "last.toml";
+/// Folder of what was published before a run that failed.
+pub(super) const EARLIER: &str = "earlier";
 
 /// One site and where its results go.
 #[derive(Debug, Clone, Copy)]
@@ -32,6 +34,30 @@ impl Site<'_> {
     /// The cache it shares with other sites.
     pub fn store(&self) -> Store {
         Store::new(self.run_dir)
+    }
+
+    /// Settings as one word, and the file on which runs of a pipeline with these stages agree on them.
+    pub(super) fn settings(&self, graph: &Graph) -> Result<(PathBuf, String)> {
+        let names: Vec<&str> = graph.nodes().iter().map(|node| node.name.as_str()).collect();
+        let pipeline = content_hash(names.join(" ").as_bytes());
+        let text = toml::to_string(self.manifest).context(|| "the manifest cannot be written as TOML".into())?;
+        let file = format!(".settings-{}", pipeline.get(..8).unwrap_or(&pipeline));
+        Ok((self.dir().join(file), content_hash(text.as_bytes())))
+    }
+
+    /// Moves what an earlier run published of a node aside: it is not of the settings as they are. Says what was moved.
+    pub(super) fn set_aside(&self, node: &Node) -> Result<Vec<String>> {
+        let mut moved = Vec::new();
+        for (_, name) in &node.publishes {
+            let (from, to) = (self.dir().join(name), self.dir().join(EARLIER).join(name));
+            if from.is_file() {
+                let what = || format!("cannot move `{}` aside", from.display());
+                to.parent().map_or(Ok(()), fs::create_dir_all).context(what)?;
+                fs::rename(&from, &to).context(what)?;
+                moved.push(name.clone());
+            }
+        }
+        Ok(moved)
     }
 
     /// Copies the files a node publishes to the folder of the site. One that its output does not have is removed there: it

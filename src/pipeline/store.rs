@@ -9,7 +9,7 @@ use super::key::{Address, Parts, content_hash, file_hash};
 use super::lock::Owner;
 use crate::error::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
-use std::fs;
+use std::fs::{self, File};
 use std::path::{Component, Path, PathBuf};
 
 const STAGE: &str = "stage.toml";
@@ -111,6 +111,12 @@ pub enum State {
     Damaged(String),
     /// A finished entry.
     Sound(Outputs),
+}
+
+/// A folder in which an entry is built, locked while it is.
+pub(super) struct Draft {
+    pub dir: PathBuf,
+    _held: File,
 }
 
 /// How closely an entry is looked at.
@@ -253,11 +259,18 @@ impl Store {
     }
 
     /// An empty folder to build the entry in. Only the holder of its lock may ask.
-    pub(super) fn draft(&self, address: &Address) -> Result<PathBuf> {
+    pub(super) fn draft(&self, address: &Address) -> Result<Draft> {
         let dir = self.beside(address, "partial");
+        let what = || format!("cannot make `{}`", dir.display());
+        if let Ok(held) = File::open(&dir) {
+            // Of a killed run, or of one whose lock somebody removed: that is left to end. Not every file system locks folders.
+            let _ = held.lock();
+        }
         remove_dir(&dir)?;
-        fs::create_dir_all(&dir).context(|| format!("cannot make `{}`", dir.display()))?;
-        Ok(dir)
+        fs::create_dir_all(&dir).context(what)?;
+        let held = File::open(&dir).context(what)?;
+        let _ = held.lock();
+        Ok(Draft { dir, _held: held })
     }
 
     /// Makes a draft the entry. Only the holder of its lock may ask.
@@ -333,7 +346,7 @@ mod tests {
     }
 
     fn put(store: &Store, parts: &Parts, content: &str, items: Vec<ItemRecord>) -> Published {
-        let draft = store.draft(&parts.address()).expect("writable");
+        let draft = store.draft(&parts.address()).expect("writable").dir;
         fs::create_dir(draft.join("sub")).expect("writable");
         fs::write(draft.join("sub/a.txt"), content).expect("writable");
         store.publish(parts, items, 1.5).expect("writable")
@@ -394,7 +407,7 @@ mod tests {
     fn a_stage_may_not_write_the_files_of_the_cache() {
         let dir = tempfile::tempdir().expect("a temporary folder");
         let (store, parts) = (Store::new(dir.path()), parts(1));
-        let draft = store.draft(&parts.address()).expect("writable");
+        let draft = store.draft(&parts.address()).expect("writable").dir;
         fs::write(draft.join("stage.toml"), "x").expect("writable");
         assert!(store.publish(&parts, vec![], 0.0).is_err());
     }

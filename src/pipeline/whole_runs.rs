@@ -1,6 +1,6 @@
 //! Tests of whole runs on toy stages: what is computed, why, and what is left on the disk.
 
-use super::lock::Lease;
+use super::lock::{Agreement, Lease};
 use super::*;
 use crate::error::{Error, Result};
 use crate::progress::Quiet;
@@ -239,6 +239,33 @@ fn what_is_published_is_as_it_was_written_or_is_computed_again() {
     place.run(MANIFEST, &Options::default()).expect("runs");
     assert_eq!(place.computed(), ["all"]);
     assert_eq!(place.bytes(), right);
+}
+
+#[test]
+fn what_an_earlier_run_published_is_set_aside_by_one_that_fails() {
+    let place = Place::new(CHAIN);
+    place.run(MANIFEST, &Options::default()).expect("runs");
+    let before = fs::read(place.path("runs/toy/value.txt")).expect("published");
+    place.run(&MANIFEST.replace("value = 1", "value = -3"), &Options::default()).expect("runs");
+    assert!(!place.path("runs/toy/value.txt").exists());
+    assert_eq!(fs::read(place.path("runs/toy/earlier/value.txt")).expect("moved"), before);
+    place.run(MANIFEST, &Options::default()).expect("runs");
+    assert_eq!(fs::read(place.path("runs/toy/value.txt")).expect("published"), before);
+}
+
+#[test]
+fn two_runs_of_one_site_with_other_settings_are_not_at_work_together() {
+    let place = Place::new(CHAIN);
+    let other = MANIFEST.replace("value = 1", "value = 2");
+    place.with(MANIFEST, |site, graph| {
+        let (path, settings) = site.settings(graph)?;
+        let share = Agreement::on(&path, &settings)?;
+        let refused = place.run(&other, &Options::default()).expect_err("another is at work").to_string();
+        assert!(refused.contains("a run of site `toy` with other settings is at work"), "{refused}");
+        place.run(MANIFEST, &Options::default())?;
+        drop(share);
+        place.run(&other, &Options::default()).map(|_| ())
+    }).expect("runs");
 }
 
 #[test]

@@ -105,7 +105,7 @@ pub fn unit_in(path: &Path) -> Result<Option<AccelerationUnit>> {
 }
 
 fn opened(path: &Path) -> Result<BufReader<File>> {
-    File::open(path).map(BufReader::new).context(|| format!("cannot read `{}`", path.display()))
+    atomic::open(path).map(BufReader::new).context(|| format!("cannot read `{}`", path.display()))
 }
 
 fn reader<R: Read>(source: R) -> ::csv::Reader<R> {

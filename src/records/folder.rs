@@ -1,5 +1,6 @@
 //! The files of a folder of records: in it, in a folder an event, or in `.zip` and `.tar.gz` archives.
 
+use crate::atomic;
 use crate::error::{Context, Error, Result};
 use flate2::read::GzDecoder;
 use std::fs::File;
@@ -7,7 +8,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 
 /// Largest file that can be a record, bytes.
-const LARGEST_BYTES: u64 = 1 << 28;
+pub(super) const LARGEST_BYTES: u64 = 1 << 28;
 /// Most files of one archive.
 const MOST_MEMBERS: usize = 100_000;
 
@@ -53,7 +54,7 @@ impl Source {
             }
             Ok(bytes)
         };
-        let file = File::open(&self.path).context(place)?;
+        let file = atomic::open(&self.path).context(place)?;
         let Some(member) = self.member else { return read(&mut { file }) };
         if is_zip(&self.path) {
             let mut archive = zip::ZipArchive::new(file).context(place)?;

@@ -4,6 +4,7 @@
 //! (`record/input` is the input sensor) unless `[records.channels]` says otherwise. Other topics are left alone.
 
 use super::channel::Channel;
+use super::folder::LARGEST_BYTES;
 use super::{Format, Reading, Role, Source, Usual};
 use crate::error::{Context, Error, Result};
 use crate::registry::{Entry, params};
@@ -14,6 +15,8 @@ use std::collections::BTreeMap;
 
 /// First bytes of a file.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
+/// Opcode of a chunk.
+const CHUNK: u8 = 6;
 /// Share of a step by which a message may be early or late.
 const JITTER: f64 = 0.01;
 
@@ -52,9 +55,34 @@ impl Format for Mcap {
     }
 }
 
+/// Refuses an MCAP file whose chunks say that they expand to more than a file of records can hold: a few compressed bytes may stand for
+/// gigabytes.
+///
+/// # Errors
+/// When they do.
+pub fn check_expansion(bytes: &[u8]) -> Result<()> {
+    let number = |bytes: &[u8]| bytes.first_chunk().map(|b| u64::from_le_bytes(*b));
+    let mut rest = bytes.get(MAGIC.len()..).unwrap_or_default();
+    let mut expanded: u64 = 0;
+    // Each record is an opcode, its length, and that many bytes; those of a chunk begin with the times of its first and last message.
+    while let (Some(opcode), Some(length)) = (rest.first(), rest.get(1..).and_then(number)) {
+        let body = rest.get(9..).unwrap_or_default();
+        if *opcode == CHUNK {
+            expanded = expanded.saturating_add(body.get(16..).and_then(number).unwrap_or(0));
+        }
+        rest = usize::try_from(length).ok().and_then(|length| body.get(length..)).unwrap_or_default();
+    }
+    if expanded > LARGEST_BYTES {
+        let most = LARGEST_BYTES >> 20;
+        return Err(Error::new(format!("the file expands to {} MiB, at most {most} MiB are read", expanded >> 20)));
+    }
+    Ok(())
+}
+
 /// The wanted channels of a `file`.
 fn channels(file: &str, bytes: &[u8], is_wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Channel>> {
     let unsound = || "the file is no sound MCAP".to_string();
+    check_expansion(bytes)?;
     let mut histories: BTreeMap<String, Vec<(u64, f64)>> = BTreeMap::new();
     for message in ::mcap::MessageStream::new(bytes).context(unsound)? {
         let message = message.context(unsound)?;

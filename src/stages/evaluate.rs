@@ -117,6 +117,10 @@ impl Stage for Evaluate {
         for (split, event) in by_event(found) {
             for (record, flare_t) in event.iter().zip(predict(&predictors, &instrument, &event)?) {
                 let replayed = replay::read(task.input("replay")?, &record.event, &record.component)?;
+                if flare_t.is_none() {
+                    let what = format!("FLARE-T has no finite prediction of {} {}", record.event, record.component);
+                    task.progress().warn(&what);
+                }
                 let predictor = &predictors[&record.component];
                 let axis = Axis::after(predictor.window(), predictor.step_s());
                 let coarse = Coarse::of_record(record, axis.step_s);

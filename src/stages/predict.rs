@@ -50,7 +50,7 @@ impl Predictor {
     /// `half_m_s2` the base at the steps and half a step later, from the same start.
     ///
     /// # Errors
-    /// When the window is too short, or the latent state leaves its bounds.
+    /// When the window is too short, the latent state leaves its bounds, or the prediction is not finite.
     pub fn predict(&self, initial_m_s2: &[Vec<f64>], base_m_s2: &[f64], half_m_s2: &[f64]) -> Result<Vec<Vec<f64>>> {
         let (window, n_sensor) = (self.encoder.window, self.observation.n_sensor());
         if let Some(short) = initial_m_s2.iter().find(|h| h.len() < window) {
@@ -72,6 +72,10 @@ impl Predictor {
             &scales.base(half_m_s2),
         )?;
         let rows = scales.sparse_to_m_s2(&predicted);
+        if let Some(i) = rows.iter().position(|v| !v.is_finite()) {
+            let time_s = (window + i / n_sensor) as f64 * self.card.step_s;
+            return Err(Error::new(format!("the prediction is not finite at {time_s:.3} s")));
+        }
         Ok((0..n_sensor).map(|j| rows.iter().skip(n_sensor + j).step_by(n_sensor).copied().collect()).collect())
     }
 }

@@ -150,8 +150,8 @@ impl Ensemble<'_> {
         }
         let draft = self.store.draft(&job.address)?;
         let start = Instant::now();
-        if let Err(error) = guarded(|| (self.compute)(job.index, &draft)) {
-            crate::pipeline::files::remove_dir(&draft)?;
+        if let Err(error) = guarded(|| (self.compute)(job.index, &draft.dir)) {
+            crate::pipeline::files::remove_dir(&draft.dir)?;
             return if error.is_of_model() { Ok(Err(error.to_string())) } else { Err(error) };
         }
         self.store.publish(&job.parts, Vec::new(), start.elapsed().as_secs_f64())?;
