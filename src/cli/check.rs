@@ -3,11 +3,13 @@
 use super::SiteArguments;
 use super::output::{say, write_json};
 use super::records::inventory;
+use super::reporter::clock;
 use super::workspace::Workspace;
 use crate::column::{self, Column};
 use crate::diagnosis::HIGHEST_SHARE;
 use crate::effects;
 use crate::error::Result;
+use crate::stages::cost::Cost;
 use crate::twin::Truth;
 use serde_json::{Value, json};
 
@@ -50,6 +52,8 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
     let declared = site.column().declared_profile()?;
     let layers: Vec<Layer> = declared.layers.iter().zip(declared.elements_per_layer()).map(layer).collect();
     remarks.extend(beyond_elements(site.diagnose.band_hz[1], &layers));
+    let cost = Cost::of(site, &column);
+    cost.check()?;
     let n_event = site.records.as_ref().map_or(0, |r| r.events().count());
     if json {
         let layer =
@@ -57,7 +61,7 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
         return write_json(&json!({
             "manifest": arguments.site, "site": site.name, "pipeline": workspace.pipeline, "depth_m": site.site.depth_m,
             "layers": layers.iter().map(layer).collect::<Vec<Value>>(), "frequency_hz": column.frequency_hz(),
-            "events": n_event, "records": rows, "notes": left_alone.iter().chain(&remarks).collect::<Vec<_>>(),
+            "time_s": cost.time_s, "memory_bytes": cost.memory_bytes, "disk_bytes": cost.disk_bytes, "events": n_event, "records": rows, "notes": left_alone.iter().chain(&remarks).collect::<Vec<_>>(),
         }));
     }
     say!(
@@ -70,6 +74,12 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
         site.motions.count,
     );
     say!("  pipeline: {}", workspace.pipeline);
+    say!(
+        "  its columns take some {}, {:.0} MB of memory and {:.0} MB on disk",
+        clock(cost.time_s),
+        cost.memory_bytes / 1e6,
+        cost.disk_bytes / 1e6
+    );
     say!("  frequency from the travel time of shear waves: {:.2} Hz", column.frequency_hz());
     let moduli = column.shear_modulus_pa();
     let range = |values: &[f64]| values.iter().fold((f64::INFINITY, 0.0f64), |(a, b), v| (a.min(*v), b.max(*v)));

@@ -23,6 +23,7 @@ mod signals;
 mod status;
 mod twin;
 mod twins;
+mod verify;
 mod workspace;
 
 pub use output::tell;
@@ -88,6 +89,8 @@ enum Command {
         #[arg(value_enum, default_value = "site")]
         of: schema::SchemaOf,
     },
+    /// Compare what is stored with its hashes, and mend it
+    Verify(verify::VerifyArguments),
     /// Remove cache entries that no site refers to
     Gc(gc::GcArguments),
     /// Print shell completions
@@ -134,6 +137,7 @@ pub fn dispatch(arguments: Arguments) -> Result<()> {
         Command::Graph(arguments) => graph::graph(&arguments, json),
         Command::List(arguments) => list::list(&arguments, json),
         Command::Schema { of } => schema::schema(of),
+        Command::Verify(arguments) => verify::verify(&arguments, json),
         Command::Gc(arguments) => gc::gc(&arguments, json),
         Command::Completions(arguments) => completions::completions(&arguments),
     }

@@ -56,7 +56,9 @@ impl From<Failure> for Error {
     fn from(failure: Failure) -> Self {
         match failure.cause {
             Cause::Sink(error) => *error,
-            _ => Self::new(failure.to_string()).hint("a smaller `analysis.max_step_s`, or a weaker base motion").of_model(),
+            _ => Self::new(failure.to_string())
+                .hint("a smaller `analysis.max_step_s`, or a weaker base motion")
+                .of_model(),
         }
     }
 }

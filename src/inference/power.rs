@@ -87,7 +87,8 @@ pub fn power(problem: &Problem, replay: &dyn Replay, settings: &DiagnoseSettings
     let mut quiet = problem.clone();
     for (event, motion) in quiet.events.iter_mut().zip(replay.replay(&[])?) {
         let place = || format!("event `{}`", event.name);
-        event.outputs = motion.map_err(|reason| Error::new("the column did not finish").cause(reason).of_model().at(place()))?;
+        event.outputs =
+            motion.map_err(|reason| Error::new("the column did not finish").cause(reason).of_model().at(place()))?;
     }
     let all = Forward::new(&quiet, replay, settings)?;
     let forward = all.in_groups(&few::groups(&all));

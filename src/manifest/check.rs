@@ -84,14 +84,19 @@ fn from_error(key: String, error: &crate::Error) -> Problem {
     }
 }
 
-/// Whether `name` may be that of a site: lower-case letters, digits and hyphens.
+/// Longest name of a site: files are named by it, and a name of a file has 255 bytes at the most.
+const LONGEST_NAME: usize = 100;
+
+/// Whether `name` may be that of a site: some lower-case letters, digits and hyphens.
 pub fn is_site_name(name: &str) -> bool {
-    !name.is_empty() && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
+    (1..=LONGEST_NAME).contains(&name.len())
+        && name.chars().all(|c| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '-')
 }
 
 fn name(site: &Site, problems: &mut Vec<Problem>) {
     if !is_site_name(&site.name) {
-        let what = format!("`name` must be lower-case letters, digits and hyphens, got `{}`", site.name);
+        let what =
+            format!("`name` must be 1…{LONGEST_NAME} lower-case letters, digits and hyphens, got `{}`", site.name);
         problems.push(Problem::new("name", what).hint("it names the run folder: `lotung`, `fksh11-ns`"));
     }
 }

@@ -135,7 +135,7 @@ impl MotionSettings {
     }
 
     fn band_problems(&self, say: &mut dyn FnMut(&str, String)) {
-        let total: usize = self.bands.iter().map(|b| b.count).sum();
+        let total = self.bands.iter().fold(0, |sum: usize, b| sum.saturating_add(b.count));
         if total != self.count {
             say("bands", format!("the bands hold {total} motions, but `count` is {}", self.count));
         }

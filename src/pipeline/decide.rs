@@ -174,7 +174,8 @@ impl<'a> Planner<'a> {
     /// The output of a node: by content where it is published or decides what comes after it, by size elsewhere.
     fn state(&self, node: usize, address: &Address) -> State {
         let nodes = self.graph.nodes();
-        let is_looked_into = !nodes[node].publishes.is_empty() || nodes.iter().any(|other| other.manifest == Some(node));
+        let is_looked_into =
+            !nodes[node].publishes.is_empty() || nodes.iter().any(|other| other.manifest == Some(node));
         if is_looked_into { self.store.verify_files(address) } else { self.store.state(address) }
     }
 

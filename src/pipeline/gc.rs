@@ -1,10 +1,9 @@
 //! Removes what no site uses any more.
 
 use super::files::list;
-use super::lock::Lease;
 use super::site::Memory;
 use super::{Address, Key, Lock, Outputs, Store};
-use crate::error::{Context, Error, Result};
+use crate::error::{Context, Result};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -39,7 +38,9 @@ pub fn unused(run_dir: &Path, also: &[Address]) -> Result<Vec<Unused>> {
         let is_entry = |p: &Path| p == store.dir(&entry);
         let lock_path = store.lock_path(&entry);
         let checkpoint = store.checkpoint_dir(&entry);
-        let stays = |p: &Path| kept.contains(&entry) && (is_entry(p) || p == checkpoint);
+        // Of an entry that is there, nobody goes on with a checkpoint.
+        let is_begun = |p: &Path| p == checkpoint && !store.dir(&entry).is_dir();
+        let stays = |p: &Path| kept.contains(&entry) && (is_entry(p) || is_begun(p));
         let paths: Vec<_> = paths.into_iter().filter(|p| !stays(p)).collect();
         if paths.is_empty() || Lock::holder(&lock_path).is_some() {
             continue;
@@ -62,9 +63,7 @@ pub fn remove(run_dir: &Path, also: &[Address], entries: &[Unused]) -> Result<()
         return Ok(());
     }
     // What a run has begun with may be in no list yet.
-    let _lease = Lease::alone(&store.lease_path())?.ok_or_else(|| {
-        Error::new(format!("a run is at work in `{}`", run_dir.display())).hint("try again when it has ended")
-    })?;
+    let _lease = store.alone()?;
     // A run may have come and gone since they were listed.
     let still = unused(run_dir, also)?;
     for Unused { entry, paths, .. } in still.iter().filter(|s| entries.iter().any(|e| e.entry == s.entry)) {

@@ -25,6 +25,7 @@ mod task;
 #[cfg(test)]
 mod toy;
 mod unfold;
+mod verify;
 #[cfg(test)]
 mod whole_runs;
 
@@ -43,3 +44,4 @@ pub use stage::Stage;
 pub use status::{StageStatus, status};
 pub use store::{ItemRecord, OutputFile, Outputs, State, Store, Timing};
 pub use task::{Item, ItemOutcome, Task};
+pub use verify::{Damage, Verification, discard, verify_all, verify_site};

@@ -101,7 +101,8 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
 fn agree(site: &Site<'_>, graph: &Graph) -> Result<Agreement> {
     let (path, settings) = site.settings(graph)?;
     Agreement::on(&path, &settings)?.ok_or_else(|| {
-        let what = format!("a run of site `{}` with other settings is at work in `{}`", site.name, site.run_dir.display());
+        let what =
+            format!("a run of site `{}` with other settings is at work in `{}`", site.name, site.run_dir.display());
         Error::new(what).hint("wait for it, or give one of the two another `name` in its manifest")
     })
 }

@@ -60,16 +60,22 @@ impl Site<'_> {
         Ok(moved)
     }
 
-    /// Copies the files a node publishes to the folder of the site. One that its output does not have is removed there: it
-    /// would be of an earlier output.
+    /// Copies the files a node publishes to the folder of the site, in place of earlier ones. One that its output does not have is removed
+    /// there: it would be of an earlier output.
     pub(super) fn publish(&self, node: &Node, entry: &Path) -> Result<()> {
         for (file, name) in &node.publishes {
             let (from, to) = (entry.join(file), self.dir().join(name));
-            if from.is_file() {
+            let earlier = self.dir().join(EARLIER).join(name);
+            let is_published = from.is_file();
+            if is_published {
                 copy_if_changed(&from, &to)?;
-            } else if to.is_file() {
-                fs::remove_file(&to).context(|| format!("cannot remove `{}`", to.display()))?;
             }
+            let over = if is_published { &earlier } else { &to };
+            if over.is_file() {
+                fs::remove_file(over).context(|| format!("cannot remove `{}`", over.display()))?;
+            }
+            // Where there is more in it, it stays.
+            let _ = earlier.parent().map(fs::remove_dir);
         }
         Ok(())
     }

@@ -6,7 +6,7 @@
 
 use super::files::{list, remove_dir, sync_dir, sync_tree};
 use super::key::{Address, Parts, content_hash, file_hash};
-use super::lock::Owner;
+use super::lock::{Lease, Owner};
 use crate::error::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File};
@@ -165,6 +165,16 @@ impl Store {
     /// File that every run locks while it works, and a collection by itself.
     pub(super) fn lease_path(&self) -> PathBuf {
         self.root.join("lease")
+    }
+
+    /// The cache for whoever removes of it.
+    ///
+    /// # Errors
+    /// When a run is at work in it.
+    pub(super) fn alone(&self) -> Result<Lease> {
+        Lease::alone(&self.lease_path())?.ok_or_else(|| {
+            Error::new(format!("a run is at work in `{}`", self.root.display())).hint("try again when it has ended")
+        })
     }
 
     /// Folder for work in flight that survives a kill.

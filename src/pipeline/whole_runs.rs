@@ -215,8 +215,13 @@ fn what_a_stage_reads_is_as_it_was_written_or_is_computed_again() {
     let right = place.bytes();
     place.computed();
     let flipped = runs.join(published_entry(&place, "number")).join("value");
-    for (damaged, name) in [(flipped, "value"), (runs.join(published_entry(&place, "number")).join("outputs.toml"), "")] {
-        if name.is_empty() { fs::write(&damaged, "").expect("writable") } else { flip(&damaged) }
+    for (damaged, name) in [(flipped, "value"), (runs.join(published_entry(&place, "number")).join("outputs.toml"), "")]
+    {
+        if name.is_empty() {
+            fs::write(&damaged, "").expect("writable")
+        } else {
+            flip(&damaged)
+        }
         fs::remove_dir_all(runs.join(published_entry(&place, "fit.NS"))).expect("removable");
         place.run(&edited, &Options::default()).expect("runs");
         assert_eq!(place.computed(), ["fit.NS", "number"]);
@@ -251,21 +256,24 @@ fn what_an_earlier_run_published_is_set_aside_by_one_that_fails() {
     assert_eq!(fs::read(place.path("runs/toy/earlier/value.txt")).expect("moved"), before);
     place.run(MANIFEST, &Options::default()).expect("runs");
     assert_eq!(fs::read(place.path("runs/toy/value.txt")).expect("published"), before);
+    assert!(!place.path("runs/toy/earlier").exists());
 }
 
 #[test]
 fn two_runs_of_one_site_with_other_settings_are_not_at_work_together() {
     let place = Place::new(CHAIN);
     let other = MANIFEST.replace("value = 1", "value = 2");
-    place.with(MANIFEST, |site, graph| {
-        let (path, settings) = site.settings(graph)?;
-        let share = Agreement::on(&path, &settings)?;
-        let refused = place.run(&other, &Options::default()).expect_err("another is at work").to_string();
-        assert!(refused.contains("a run of site `toy` with other settings is at work"), "{refused}");
-        place.run(MANIFEST, &Options::default())?;
-        drop(share);
-        place.run(&other, &Options::default()).map(|_| ())
-    }).expect("runs");
+    place
+        .with(MANIFEST, |site, graph| {
+            let (path, settings) = site.settings(graph)?;
+            let share = Agreement::on(&path, &settings)?;
+            let refused = place.run(&other, &Options::default()).expect_err("another is at work").to_string();
+            assert!(refused.contains("a run of site `toy` with other settings is at work"), "{refused}");
+            place.run(MANIFEST, &Options::default())?;
+            drop(share);
+            place.run(&other, &Options::default()).map(|_| ())
+        })
+        .expect("runs");
 }
 
 #[test]

@@ -6,6 +6,7 @@ mod ceiling;
 mod closed;
 mod compare;
 pub mod correct;
+pub mod cost;
 mod dataset;
 mod diagnose;
 mod distill;
