@@ -3,7 +3,7 @@
 use super::SiteArguments;
 use super::output::{data, say, write_json};
 use super::reporter::clock;
-use super::workspace::{Workspace, project_root};
+use super::workspace::{Workspace, results_folder};
 use crate::error::{Context, Error, Result};
 use crate::pipeline::{self, Address, Unused};
 use crate::stages::STAGES;
@@ -34,11 +34,7 @@ const DEPTH: usize = 6;
 /// # Errors
 /// When the run directory cannot be read or written, a run is at work in it, or nobody can be asked.
 pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
-    let run_dir = arguments.run_dir.clone().unwrap_or_else(|| project_root(Path::new("")).join("runs"));
-    if arguments.run_dir.is_some() && !run_dir.join("cache").is_dir() {
-        let hint = "it is the folder that has `cache` and a folder of each site that was run";
-        return Err(Error::new(format!("`{}` is no folder of results", run_dir.display())).hint(hint).usage());
-    }
+    let run_dir = results_folder(arguments.run_dir.as_deref())?;
     let Needed { entries: needed, is_unfinished } = needed(run_dir.parent().unwrap_or(Path::new("")), &run_dir)?;
     let mut unused = pipeline::unused(&run_dir, &needed)?;
     if is_unfinished {

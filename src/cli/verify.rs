@@ -5,12 +5,12 @@ use super::jobs::{JobsArgument, start_threads};
 use super::output::{data, say, write_json};
 use super::publish::publish;
 use super::reporter::{Terminal, Verbosity};
-use super::workspace::{Workspace, project_root};
+use super::workspace::{Workspace, results_folder};
 use crate::error::{Error, Result};
 use crate::pipeline::{self, Damage, Mode, Options, Verification};
 use clap::Args;
 use serde_json::json;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// What is looked at.
 #[derive(Debug, Args)]
@@ -45,7 +45,7 @@ pub fn verify(arguments: &VerifyArguments, json: bool) -> Result<()> {
     let options = Options { jobs: arguments.jobs.or(Options::default().jobs)?, ..Options::default() };
     start_threads(options.jobs);
     let Some(manifest) = &arguments.site else {
-        let run_dir = arguments.run_dir.clone().unwrap_or_else(|| project_root(Path::new("")).join("runs"));
+        let run_dir = results_folder(arguments.run_dir.as_deref())?;
         let found = pipeline::verify_all(&run_dir)?;
         if arguments.repair {
             pipeline::discard(&run_dir, &found.damaged)?;

@@ -59,9 +59,22 @@ fn place_of_pipeline(arguments: &SiteArguments) -> String {
     if is_set { "`pipeline` of `--set`".into() } else { format!("`pipeline` of `{}`", arguments.site.display()) }
 }
 
+/// A folder for results and cache: the one `asked` for, or that of the project of the working directory.
+///
+/// # Errors
+/// When what is asked for is none.
+pub fn results_folder(asked: Option<&Path>) -> Result<PathBuf> {
+    let Some(asked) = asked else { return Ok(project_root(Path::new("")).join("runs")) };
+    if !asked.join("cache").is_dir() {
+        let hint = "it is the folder that has `cache` and a folder of each site that was run";
+        return Err(Error::new(format!("`{}` is no folder of results", asked.display())).hint(hint).usage());
+    }
+    Ok(asked.to_path_buf())
+}
+
 /// The folder of the project that `dir` is in, as a path from the working directory where it is below that: the nearest one up that holds
 /// `pipelines` or results; `dir` itself where there is none.
-pub fn project_root(dir: &Path) -> PathBuf {
+fn project_root(dir: &Path) -> PathBuf {
     let Ok(here) = std::env::current_dir() else { return dir.to_path_buf() };
     let absolute = here.join(dir);
     let absolute = absolute.canonicalize().unwrap_or(absolute);
