@@ -3,15 +3,11 @@
 use super::message::{Base, Response, Sensors};
 use super::writer::METADATA;
 use crate::error::{Context, Error, Result};
-use crate::records::check_expansion;
+use crate::records::visit_mcap;
 use mcap::records::Record;
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use prost::Message;
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// Longest record that a trajectory can hold, bytes; a damaged length beyond it is refused before it is allocated.
-const MAX_RECORD_BYTES: usize = 256 << 20;
 
 /// A trajectory in memory; accelerations in m/s².
 #[derive(Debug, Clone, PartialEq)]
@@ -67,7 +63,7 @@ fn decode(bytes: &[u8]) -> Result<Trajectory> {
     let mut topics: BTreeMap<u16, String> = BTreeMap::new();
     let mut steps = Steps::default();
     let mut metadata = None;
-    visit(bytes, &mut |record| {
+    visit_mcap(bytes, &mut |record| {
         match record {
             Record::Channel(channel) => {
                 topics.insert(channel.id, channel.topic);
@@ -84,33 +80,6 @@ fn decode(bytes: &[u8]) -> Result<Trajectory> {
     })?;
     let missing = || Error::new(format!("the file has no metadata record `{METADATA}`"));
     steps.into_trajectory(metadata.ok_or_else(missing)?)
-}
-
-/// Hands every record to `on`, all checksums of the file verified.
-fn visit(bytes: &[u8], on: &mut dyn FnMut(Record) -> Result<()>) -> Result<()> {
-    let unsound = || "the file is not a whole MCAP file".to_string();
-    check_expansion(bytes)?;
-    let mut reader = LinearReader::new_with_options(
-        LinearReaderOptions::default()
-            .with_prevalidate_chunk_crcs(true)
-            .with_validate_data_section_crc(true)
-            .with_validate_summary_section_crc(true)
-            .with_check_finishes_after_end_magic(true)
-            .with_record_length_limit(MAX_RECORD_BYTES),
-    );
-    let mut rest = bytes;
-    while let Some(event) = reader.next_event() {
-        match event.context(unsound)? {
-            LinearReadEvent::ReadRequest(wanted) => {
-                let (now, later) = rest.split_at(wanted.min(rest.len()));
-                reader.insert(now.len())[..now.len()].copy_from_slice(now);
-                reader.notify_read(now.len());
-                rest = later;
-            }
-            LinearReadEvent::Record { opcode, data } => on(mcap::parse_record(opcode, data).context(unsound)?)?,
-        }
-    }
-    Ok(())
 }
 
 /// What the messages hold, before the metadata tells whether it is all.

@@ -9,14 +9,14 @@ use super::{Format, Reading, Role, Source, Usual};
 use crate::error::{Context, Error, Result};
 use crate::registry::{Entry, params};
 use crate::units::AccelerationUnit;
+use ::mcap::records::{Record, op};
+use ::mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// First bytes of a file.
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
-/// Opcode of a chunk.
-const CHUNK: u8 = 6;
 /// Share of a step by which a message may be early or late.
 const JITTER: f64 = 0.01;
 
@@ -55,22 +55,106 @@ impl Format for Mcap {
     }
 }
 
-/// Refuses an MCAP file whose chunks say that they expand to more than a file of records can hold: a few compressed bytes may stand for
-/// gigabytes.
+/// Hands every channel, message and metadata record of an MCAP file to `on`, all checksums verified. Lengths inside of the file are looked
+/// at before anything is made of them.
 ///
 /// # Errors
-/// When they do.
-pub fn check_expansion(bytes: &[u8]) -> Result<()> {
+/// When the file is damaged, or its chunks expand to more than a file of records can hold.
+pub fn visit(bytes: &[u8], on: &mut dyn FnMut(Record<'_>) -> Result<()>) -> Result<()> {
+    let unsound = || "the file is no whole MCAP".to_string();
+    check_chunks(bytes)?;
+    let mut reader = LinearReader::new_with_options(
+        LinearReaderOptions::default()
+            .with_prevalidate_chunk_crcs(true)
+            .with_validate_data_section_crc(true)
+            .with_validate_summary_section_crc(true)
+            .with_check_finishes_after_end_magic(true)
+            .with_record_length_limit(LARGEST_BYTES as usize),
+    );
+    let mut rest = bytes;
+    while let Some(event) = reader.next_event() {
+        match event.context(unsound)? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (now, later) = rest.split_at(wanted.min(rest.len()));
+                reader.insert(now.len())[..now.len()].copy_from_slice(now);
+                reader.notify_read(now.len());
+                rest = later;
+            }
+            LinearReadEvent::Record { opcode, data } => {
+                let is_whole = match opcode {
+                    op::CHANNEL => Fields(data).skip(4).text().text().map().is_whole(),
+                    op::METADATA => Fields(data).text().map().is_whole(),
+                    op::MESSAGE => true,
+                    _ => continue,
+                };
+                if !is_whole {
+                    return Err(Error::new(unsound()).cause("a text is longer than its record"));
+                }
+                on(::mcap::parse_record(opcode, data).context(unsound)?)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// What is left of a record when some of its fields are passed; longer than it is once one did not fit.
+struct Fields<'a>(&'a [u8]);
+
+impl Fields<'_> {
+    /// Stands for a field that does not fit.
+    const BROKEN: Self = Fields(&[u8::MAX; 4]);
+
+    fn skip(self, n: usize) -> Self {
+        self.0.get(n..).map_or(Self::BROKEN, Fields)
+    }
+
+    /// A length and as many bytes.
+    fn text(self) -> Self {
+        match self.0.first_chunk().map(|b| u32::from_le_bytes(*b) as usize) {
+            Some(length) => self.skip(4).skip(length),
+            None => Self::BROKEN,
+        }
+    }
+
+    /// A length and as many bytes of texts.
+    fn map(self) -> Self {
+        let Some(length) = self.0.first_chunk().map(|b| u32::from_le_bytes(*b) as usize) else { return Self::BROKEN };
+        let Some(inside) = self.0.get(4..4 + length) else { return Self::BROKEN };
+        let mut texts = Fields(inside);
+        while !texts.0.is_empty() {
+            let before = texts.0.len();
+            texts = texts.text();
+            if texts.0.len() >= before {
+                return Self::BROKEN;
+            }
+        }
+        self.skip(4 + length)
+    }
+
+    fn is_whole(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+/// Refuses a file whose chunks say that they expand to more than a file of records can hold: a few compressed bytes may stand for
+/// gigabytes.
+fn check_chunks(bytes: &[u8]) -> Result<()> {
     let number = |bytes: &[u8]| bytes.first_chunk().map(|b| u64::from_le_bytes(*b));
     let mut rest = bytes.get(MAGIC.len()..).unwrap_or_default();
     let mut expanded: u64 = 0;
-    // Each record is an opcode, its length, and that many bytes; those of a chunk begin with the times of its first and last message.
+    // Each record is an opcode, its length, and that many bytes; those of a chunk begin with two times, its size, a checksum, a text.
     while let (Some(opcode), Some(length)) = (rest.first(), rest.get(1..).and_then(number)) {
-        let body = rest.get(9..).unwrap_or_default();
-        if *opcode == CHUNK {
+        let (body, after) =
+            rest[9..].split_at_checked(usize::try_from(length).unwrap_or(usize::MAX)).unwrap_or_default();
+        if *opcode == op::CHUNK {
             expanded = expanded.saturating_add(body.get(16..).and_then(number).unwrap_or(0));
+            let compression =
+                body.get(28..).and_then(|text| text.first_chunk()).map(|b| u32::from_le_bytes(*b) as usize);
+            if compression.is_none_or(|length| length > body.len()) {
+                return Err(Error::new("the file is no whole MCAP").cause("a chunk ends in its header"));
+            }
         }
-        rest = usize::try_from(length).ok().and_then(|length| body.get(length..)).unwrap_or_default();
+        rest = after;
     }
     if expanded > LARGEST_BYTES {
         let most = LARGEST_BYTES >> 20;
@@ -81,21 +165,28 @@ pub fn check_expansion(bytes: &[u8]) -> Result<()> {
 
 /// The wanted channels of a `file`.
 fn channels(file: &str, bytes: &[u8], is_wanted: &dyn Fn(&str) -> bool) -> Result<Vec<Channel>> {
-    let unsound = || "the file is no sound MCAP".to_string();
-    check_expansion(bytes)?;
+    let mut names: BTreeMap<u16, String> = BTreeMap::new();
     let mut histories: BTreeMap<String, Vec<(u64, f64)>> = BTreeMap::new();
-    for message in ::mcap::MessageStream::new(bytes).context(unsound)? {
-        let message = message.context(unsound)?;
-        let name = message.channel.topic.trim_start_matches('/');
-        if message.channel.message_encoding != "json" || !is_wanted(name) {
-            continue;
+    visit(bytes, &mut |record| {
+        match record {
+            Record::Channel(channel) => {
+                let name = channel.topic.trim_start_matches('/');
+                if channel.message_encoding == "json" && is_wanted(name) {
+                    names.insert(channel.id, name.to_string());
+                }
+            }
+            Record::Message { header, data } => {
+                let Some(name) = names.get(&header.channel_id) else { return Ok(()) };
+                let sample: Sample = serde_json::from_slice(&data)
+                    .context(|| format!("a message of `{name}` at {} ns is no JSON", header.log_time))?;
+                if let Some(value) = sample.acceleration_m_s2.filter(|v| v.is_finite()) {
+                    histories.entry(name.clone()).or_default().push((header.log_time, value));
+                }
+            }
+            _ => {}
         }
-        let sample: Sample = serde_json::from_slice(&message.data)
-            .context(|| format!("a message of `{name}` at {} ns is no JSON", message.log_time))?;
-        if let Some(value) = sample.acceleration_m_s2.filter(|v| v.is_finite()) {
-            histories.entry(name.to_string()).or_default().push((message.log_time, value));
-        }
-    }
+        Ok(())
+    })?;
     histories.into_iter().map(|(name, history)| channel(file, name, history)).collect()
 }
 

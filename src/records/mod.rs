@@ -26,7 +26,7 @@ mod text;
 pub use channel::{Channel, Orientation};
 pub use folder::{Folder, Source};
 pub use load::{Missing, Origin, Records, channels, files, load};
-pub use mcap::check_expansion;
+pub use mcap::visit as visit_mcap;
 pub use noise::{Noise, add_noise};
 pub use record::{Record, Sensor};
 pub use remarks::remarks;

@@ -97,6 +97,12 @@ pub const READERS: &[Reader] = &[
     },
 ];
 
+/// The folder of the project, wherever in it this is built.
+fn root() -> &'static Path {
+    let here = Path::new(env!("CARGO_MANIFEST_DIR"));
+    here.ancestors().find(|dir| dir.join("configs").is_dir()).expect("within the project")
+}
+
 fn put(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
     let path = folder.join(name);
     let done = path.parent().map_or(Ok(()), fs::create_dir_all).and_then(|()| fs::write(&path, bytes));
@@ -104,7 +110,7 @@ fn put(folder: &Path, name: &str, bytes: &[u8]) -> Result<()> {
 }
 
 fn shipped(folder: &Path, from: &str, to: &str) -> Result<()> {
-    put(folder, to, &fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join(from)).expect("a shipped file"))
+    put(folder, to, &fs::read(root().join(from)).expect("a shipped file"))
 }
 
 fn example(folder: &Path, from: &str, to: &str) -> Result<()> {
@@ -209,7 +215,7 @@ fn miniseed(folder: &Path) -> Result<()> {
 
 fn zip(folder: &Path) -> Result<()> {
     let mut writer = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
-    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/record_formats/20210301_1.smc");
+    let from = root().join("tests/record_formats/20210301_1.smc");
     writer.start_file("a.smc", zip::write::SimpleFileOptions::default()).expect("begun");
     writer.write_all(&fs::read(from).expect("an example")).expect("written");
     put(folder, "a.zip", writer.finish().expect("whole").get_ref())
@@ -217,7 +223,10 @@ fn zip(folder: &Path) -> Result<()> {
 
 fn mcap(folder: &Path) -> Result<()> {
     let mut bytes = std::io::Cursor::new(Vec::new());
-    let mut writer = mcap::WriteOptions::new().create(&mut bytes).expect("begun");
+    // Without checksums, so that what is changed inside of a chunk is read.
+    let options = mcap::WriteOptions::new().compression(None).calculate_chunk_crcs(false);
+    let options = options.calculate_data_section_crc(false).calculate_summary_section_crc(false);
+    let mut writer = options.create(&mut bytes).expect("begun");
     let schema = writer.add_schema("Acceleration", "jsonschema", b"{}").expect("a schema");
     let channel = writer.add_channel(schema, "/record/base", "json", &Default::default()).expect("a channel");
     for i in 0..60u32 {
