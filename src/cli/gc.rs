@@ -18,6 +18,9 @@ pub struct GcArguments {
     /// Folder for results and cache [default: `runs` in the folder of the project]
     #[arg(long, value_name = "DIR")]
     run_dir: Option<PathBuf>,
+    /// Only what was written so many days ago or earlier
+    #[arg(long, value_name = "DAYS", default_value_t = 0)]
+    older_than: u64,
     /// Only list what would be removed
     #[arg(long)]
     dry_run: bool,
@@ -26,6 +29,7 @@ pub struct GcArguments {
     yes: bool,
 }
 
+const A_DAY_S: u64 = 86_400;
 /// Folders below that of a project in which manifests are looked for.
 const DEPTH: usize = 6;
 
@@ -42,6 +46,7 @@ pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
         let is_stage = |entry: &Address| STAGES.iter().any(|s| entry.folder.starts_with(&format!("{}-v", s.kind())));
         unused.retain(|unused| is_stage(&unused.entry));
     }
+    unused.retain(|unused| unused.age_s.is_none_or(|age_s| age_s / A_DAY_S >= arguments.older_than));
     let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 / 1e6);
     let total = megabytes(unused.iter().map(|r| r.bytes).sum());
     if !as_json {
@@ -64,7 +69,7 @@ pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
 }
 
 fn age(seconds: u64) -> String {
-    match seconds / 86_400 {
+    match seconds / A_DAY_S {
         0 => clock(seconds as f64),
         1 => "1 day".into(),
         days => format!("{days} days"),

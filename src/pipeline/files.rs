@@ -5,6 +5,9 @@ use std::fs::{self, File};
 use std::io::Write;
 use std::path::Path;
 
+/// How the name of a file begins that is not whole yet.
+pub(super) const HALF_WRITTEN: &str = ".writing-";
+
 /// Writes `bytes` to `path` by a temporary sibling and rename, unless the file already holds them. Says whether it wrote.
 ///
 /// # Errors
@@ -17,7 +20,7 @@ pub fn write_if_changed(path: &Path, bytes: &[u8]) -> Result<bool> {
     let write = || -> std::io::Result<()> {
         let folder = path.parent().unwrap_or(Path::new("."));
         fs::create_dir_all(folder)?;
-        let mut file = tempfile::Builder::new().prefix(".writing-").permissions(readable()).tempfile_in(folder)?;
+        let mut file = tempfile::Builder::new().prefix(HALF_WRITTEN).permissions(readable()).tempfile_in(folder)?;
         file.write_all(bytes)?;
         file.as_file().sync_all()?;
         file.persist(path)?;

@@ -1,6 +1,6 @@
 //! Removes what no site uses any more.
 
-use super::files::list;
+use super::files::{HALF_WRITTEN, list};
 use super::site::Memory;
 use super::{Address, Key, Lock, Outputs, Store};
 use crate::error::{Context, Result};
@@ -72,6 +72,19 @@ pub fn remove(run_dir: &Path, also: &[Address], entries: &[Unused]) -> Result<()
         for path in paths.iter().filter(|p| **p != lock_path) {
             let result = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
             result.context(|| format!("cannot remove `{}`", path.display()))?;
+        }
+    }
+    remove_half_written(run_dir)
+}
+
+/// Removes files of the folders of sites that a killed run had not given their names yet.
+fn remove_half_written(run_dir: &Path) -> Result<()> {
+    let what = || format!("cannot read `{}`", run_dir.display());
+    for site in fs::read_dir(run_dir).context(what)? {
+        for file in fs::read_dir(site.context(what)?.path()).into_iter().flatten().flatten() {
+            if file.file_name().to_string_lossy().starts_with(HALF_WRITTEN) {
+                fs::remove_file(file.path()).context(|| format!("cannot remove `{}`", file.path().display()))?;
+            }
         }
     }
     Ok(())

@@ -479,7 +479,9 @@ fn collection_removes_what_no_site_used_last_and_only_that() {
     let refused = remove(&runs, &[], &listed).expect_err("a run is at work").to_string();
     assert!(refused.contains("a run is at work"), "{refused}");
     drop(share);
+    fs::write(runs.join("toy/.writing-of-a-killed-run"), "ha").expect("writable");
     remove(&runs, &[], &listed).expect("writable");
+    assert!(!runs.join("toy/.writing-of-a-killed-run").exists());
     assert!(unused(&runs, &[]).expect("readable").is_empty());
     place.computed();
     place.run(&shorter, &Options::default()).expect("runs");
