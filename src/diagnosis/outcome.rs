@@ -204,6 +204,10 @@ pub struct Diagnosis {
     /// What remains beside the answer, where the diagnosis says it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub rest: Option<Rest>,
+    /// What elements and steps half as large would change of the motions of the strongest event under the model of the answer, over these
+    /// motions; none where that is not known.
+    #[serde(default)]
+    pub discretisation_share: Option<f64>,
     /// Remarks for people.
     pub notes: Vec<String>,
 }

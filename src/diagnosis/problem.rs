@@ -116,4 +116,14 @@ pub trait Replay: Sync {
     fn replay_some_roughly(&self, effects: &[toml::Table], _is_wanted: &[bool]) -> Result<Motions> {
         self.replay_roughly(effects)
     }
+
+    /// As [`Replay::replay`], the wanted events alone, and the same once more in elements and steps half as large: what the two differ by
+    /// is not converged. None where there is nothing smaller.
+    ///
+    /// # Errors
+    /// As [`Replay::replay`].
+    fn replay_in_halves(&self, effects: &[toml::Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
+        let _ = (effects, is_wanted);
+        Ok(None)
+    }
 }

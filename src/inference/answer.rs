@@ -129,6 +129,7 @@ impl<'a> Answer<'_, 'a> {
         let claims = self.claims(answer, named, &members);
         let effects = if is_named { self.found(answer, &members, &claims.claimed) } else { Vec::new() };
         let tables: Vec<toml::Table> = effects.iter().map(|found| found.table.clone()).collect();
+        let discretisation_share = self.forward.discretisation_share(&answer.model.tables(&answer.x));
         let left_alone = effects::left_alone(&tables, &self.problem.array.profile);
         Diagnosis {
             verdict,
@@ -141,6 +142,7 @@ impl<'a> Answer<'_, 'a> {
             declared: declared_values(answer, &self.groups()),
             notes: [rest.sentence()]
                 .into_iter()
+                .chain(discretisation_share.and_then(|share| self.not_converged(share)))
                 .chain(open.into_iter().flatten())
                 .chain(self.not_named())
                 .chain(claims.not_left_out(answer))
@@ -148,7 +150,21 @@ impl<'a> Answer<'_, 'a> {
                 .collect(),
             hidden: self.competition.hidden(answer),
             rest: Some(rest),
+            discretisation_share,
         }
+    }
+
+    /// A sentence where what elements and steps leave wrong is more than the error that is declared of the column.
+    fn not_converged(&self, share: f64) -> Option<String> {
+        let declared = self.problem.tolerances.model;
+        (share > declared).then(|| {
+            format!(
+                "Strong motion is not converged: with elements and steps half as large that of the strongest event changes by {:.1} %, and                  the column is declared to err by {:.1} %. What is named may stand for that; `tolerances.model = {:.3}` allows for it.",
+                100.0 * share,
+                100.0 * declared,
+                share
+            )
+        })
     }
 
     /// The most probable model of which the `known` kinds and no other are claimed, if any are known.

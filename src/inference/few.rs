@@ -19,7 +19,7 @@ pub struct Few<'a> {
 }
 
 /// The strongest event.
-fn strongest(forward: &Forward<'_>) -> usize {
+pub(super) fn strongest(forward: &Forward<'_>) -> usize {
     let strength = |g: &usize| -> f64 {
         let of = |event: usize| forward.problem.events[event].input.iter().fold(0.0, |m: f64, a| m.max(a.abs()));
         forward.groups[*g].records.iter().map(|r| of(r.event)).fold(0.0, f64::max)
@@ -97,7 +97,38 @@ mod tests {
     use super::super::made_up::{Truth, Uniform, problem};
     use super::super::weights::Expected;
     use super::*;
-    use crate::diagnosis::DiagnoseSettings;
+    use crate::diagnosis::{DiagnoseSettings, Motions, Replay};
+
+    /// Smaller elements make the motion of the upper sensor a twentieth larger in the strongest event, and a tenth in the others.
+    struct InHalves<'a>(Uniform<'a>);
+
+    impl Replay for InHalves<'_> {
+        fn replay(&self, effects: &[toml::Table]) -> Result<Motions> {
+            self.0.replay(effects)
+        }
+
+        fn replay_in_halves(&self, effects: &[toml::Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
+            let whole = self.replay(effects)?;
+            let mut halved = whole.clone();
+            for (motion, is_wanted) in halved.iter_mut().zip(is_wanted) {
+                let factor = if *is_wanted { 1.05 } else { 1.1 };
+                motion.as_mut().unwrap().last_mut().unwrap().iter_mut().for_each(|v| *v *= factor);
+            }
+            Ok(Some([whole, halved]))
+        }
+    }
+
+    #[test]
+    fn what_is_not_converged_is_told_of_the_strongest_event_and_the_worst_sensor() {
+        let problem = problem(&Truth::default());
+        let replay = InHalves(Uniform(&problem));
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let share = forward.discretisation_share(&[]).unwrap();
+        assert!((share - 0.05 / 1.05).abs() < 1e-9, "{share}");
+        let silent = Uniform(&problem);
+        let forward = Forward::new(&problem, &silent, &DiagnoseSettings::default()).unwrap();
+        assert_eq!(forward.discretisation_share(&[]), None);
+    }
 
     #[test]
     fn a_fit_in_few_events_is_that_part_of_the_fit_to_all() {

@@ -8,6 +8,7 @@
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
 use super::coherence::coherent;
+use super::few::strongest;
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
 use crate::effects::{self, Channel, Effect, Operator, Place};
@@ -225,6 +226,33 @@ impl<'a> Forward<'a> {
     /// What few elements and long steps leave wrong at the anchor, by record: nothing before there is one.
     pub fn numerical_error(&self) -> Option<Arc<Vec<Bins>>> {
         lock(&self.anchor).as_ref().map(|anchor| anchor.difference.clone())
+    }
+
+    /// What smaller elements and shorter steps would still change of the motions of the strongest event under `tables`, as the largest
+    /// share over the output sensors.
+    ///
+    /// ```text
+    /// d_s = (Σ |Y − Y½|²/Σ |Y½|²)^½,   Y½ with elements and steps half as large, over its records and bins              (1)
+    /// ```
+    ///
+    /// None where there are none smaller, or where the column does not finish with them.
+    pub fn discretisation_share(&self, tables: &[Table]) -> Option<f64> {
+        let group = strongest(self);
+        let mut is_wanted = vec![false; self.problem.events.len()];
+        self.groups[group].records.iter().for_each(|r| is_wanted[r.event] = true);
+        let [whole, halved] = self.replay.replay_in_halves(&self.shaken(tables), &is_wanted).ok()??;
+        let n_sensor = self.names.len() - 1;
+        let mut sums = vec![[0.0; 2]; n_sensor];
+        for at in self.records.iter().filter(|at| at.group == group) {
+            let event = self.groups[group].records[at.record].event;
+            let [whole, halved] = [&whole[event], &halved[event]].map(|motion| motion.as_ref().ok());
+            for ((sum, a), b) in sums.iter_mut().zip(whole?).zip(halved?) {
+                for (a, b) in self.bins(*at, a).into_iter().zip(self.bins(*at, b)) {
+                    *sum = [sum[0] + (a - b).norm_sqr(), sum[1] + b.norm_sqr()];
+                }
+            }
+        }
+        Some(sums.into_iter().map(|[d, all]| (d / all.max(f64::MIN_POSITIVE)).sqrt()).fold(0.0, f64::max))
     }
 
     /// What every sensor records under `tables` on top of what is declared.

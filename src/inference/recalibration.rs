@@ -38,6 +38,10 @@ impl Replay for With<'_> {
     fn replay_some_roughly(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Motions> {
         self.replay.replay_some_roughly(&self.and(effects), is_wanted)
     }
+
+    fn replay_in_halves(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
+        self.replay.replay_in_halves(&self.and(effects), is_wanted)
+    }
 }
 
 /// `[[effects]]` of the declared values that are most probable beside `known` effects on top of what is declared.

@@ -40,6 +40,9 @@ pub struct Loop {
     pub declared: Vec<diagnosis::DeclaredValue>,
     /// Kinds that could be there unnoticed beside the answer, the best hidden first.
     pub hidden: Vec<diagnosis::Hidden>,
+    /// What elements and steps half as large would change of the strongest event's motions under the model of the answer, a share.
+    #[serde(default)]
+    pub discretisation_share: Option<f64>,
     /// Kinds that explain the records about as well.
     pub ambiguity: Vec<String>,
     /// Effects that were tried, best first.
@@ -111,7 +114,7 @@ impl Stage for Compare {
     }
 
     fn version(&self) -> u32 {
-        13
+        14
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -206,6 +209,7 @@ impl Loop {
             effects: named.collect(),
             declared: diagnosis.declared.clone(),
             hidden: diagnosis.hidden.clone(),
+            discretisation_share: diagnosis.discretisation_share,
             ambiguity: diagnosis.ambiguity.clone(),
             candidates: tried.collect(),
             explained_share: diagnosis.explained_share,

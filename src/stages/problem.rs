@@ -21,6 +21,8 @@ const LONGEST_S: f64 = 45.0;
 const LEAD_S: f64 = 3.0;
 /// Where replays are compared with records: small waves are slower by 0.3 % at the most.
 const FINE: Resolution = Resolution { per_wave: 16.0, per_period: 20.0 };
+/// Half of that, to tell what is not converged.
+const HALVED: Resolution = Resolution { per_wave: 32.0, per_period: 40.0 };
 /// Where replays are compared with each other only: by 1.2 %.
 const ROUGH: Resolution = Resolution { per_wave: 8.0, per_period: 10.0 };
 
@@ -91,6 +93,8 @@ pub struct Bench<'a> {
     sections: ColumnSections,
     /// The same in as many elements as waves need.
     fine: ColumnSections,
+    /// The same in elements and steps half as large.
+    halved: ColumnSections,
     /// The same in fewer elements and longer steps, for differences between replays.
     rough: ColumnSections,
     settings: RecordSettings,
@@ -129,6 +133,7 @@ impl<'a> Bench<'a> {
     ) -> Result<Self> {
         let high_hz = diagnose.band_hz[1];
         let rough = no_finer(ROUGH.of(&sections, high_hz), &sections);
+        let halved = HALVED.of(&sections, high_hz);
         // What is sought in soil is not to make up for what elements leave wrong.
         let fine = FINE.of(&sections, high_hz);
         let sections = no_finer(fine.clone(), &sections);
@@ -143,7 +148,7 @@ impl<'a> Bench<'a> {
         };
         let events =
             events.into_iter().zip(&noise).map(|((_, r), n)| r.into_iter().zip(n).map(quiet).collect()).collect();
-        Ok(Self { task, sections, fine, rough, settings, events, problem })
+        Ok(Self { task, sections, fine, halved, rough, settings, events, problem })
     }
 
     /// What the array would record of the replays under `effects` on top of the manifest's, event by event and component by
@@ -265,19 +270,29 @@ impl Replay for Bench<'_> {
     }
 
     fn replay_some_roughly(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Motions> {
+        self.replay_some(&self.rough, effects, is_wanted)
+    }
+
+    fn replay_in_halves(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
+        let of = |sections| self.replay_some(sections, effects, is_wanted);
+        Ok(Some([of(&self.fine)?, of(&self.halved)?]))
+    }
+}
+
+impl Bench<'_> {
+    /// The replay of those events alone that are wanted.
+    fn replay_some(&self, sections: &ColumnSections, effects: &[Table], is_wanted: &[bool]) -> Result<Motions> {
         let mut of_record = is_wanted.iter();
         let mut is_run = |n: usize| of_record.by_ref().take(n).filter(|wanted| **wanted).count() > 0;
         let is_run: Vec<bool> = self.events.iter().map(|records| is_run(records.len())).collect();
         let wanted = self.events.iter().zip(&is_run).filter(|(_, is_run)| **is_run);
         let events: Vec<Vec<Record>> = wanted.map(|(records, _)| records.clone()).collect();
-        let mut found = self.replay_of(&self.rough, &events, effects)?.into_iter();
+        let mut found = self.replay_of(sections, &events, effects)?.into_iter();
         let nothing = || Err("not asked for".to_string());
         let by_record = self.events.iter().zip(is_run).flat_map(|(r, is_run)| std::iter::repeat_n(is_run, r.len()));
         Ok(by_record.map(|is_run| if is_run { found.next().unwrap_or_else(nothing) } else { nothing() }).collect())
     }
-}
 
-impl Bench<'_> {
     fn replay_of(&self, sections: &ColumnSections, events: &[Vec<Record>], effects: &[Table]) -> Result<Motions> {
         let tables: Vec<Table> = sections.effects.iter().chain(effects).cloned().collect();
         let instrument = Instrument::new(&sections.sensors, sections.site.depth_m, &tables)?;
