@@ -298,6 +298,11 @@ fn models_come_back_from_their_files_unchanged_and_describe_themselves() {
 
     let card = std::fs::read_to_string(source.path().join("model.toml")).expect("card");
     assert!(card.contains("\"z1 z2\"") && card.contains("dz8/dt ="), "{card}");
+    let mut broken = t.model.clone();
+    broken.parameters[3] = f32::NAN;
+    broken.save(source.path(), &normalisation).expect("saves");
+    let refused = SourceModel::load(source.path()).expect_err("no number").to_string();
+    assert!(refused.contains("value 3 of tensor `xi`") && refused.contains("is not finite"), "{refused}");
     std::fs::write(source.path().join("model.safetensors"), b"short").expect("writes");
     assert!(SourceModel::load(source.path()).is_err());
 }

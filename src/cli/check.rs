@@ -2,7 +2,7 @@
 
 use super::SiteArguments;
 use super::output::{say, write_json};
-use super::records::inventory;
+use super::records::{doubted_unit, inventory};
 use super::reporter::clock;
 use super::workspace::Workspace;
 use crate::column::{self, Column};
@@ -36,6 +36,7 @@ pub fn check(arguments: &SiteArguments, json: bool) -> Result<()> {
     let left_alone = effects::left_alone(&site.effects, &profile);
     let rows = inventory(&workspace.manifest)?;
     let mut remarks: Vec<String> = rows.iter().flat_map(super::records::Row::sentences).collect();
+    remarks.extend(doubted_unit(&workspace.manifest, &rows));
     match &workspace.manifest.truth {
         Some(truth) if truth.exists() => _ = Truth::load(truth).map_err(|e| e.at("`records.truth`").usage())?,
         Some(truth) => remarks.push(format!(

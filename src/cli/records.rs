@@ -1,12 +1,13 @@
 //! `flare-pipe records`: what is in the record files of a site.
 
 use super::SiteArguments;
-use super::output::{data, write_json};
+use super::output::{data, say, write_json};
 use super::workspace::Workspace;
 use crate::diagnosis::signal_band_hz;
 use crate::error::{Error, Result};
 use crate::manifest::Manifest;
 use crate::records::{self, Record, Split};
+use crate::units::G_M_S2;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -55,7 +56,12 @@ struct Content {
 pub fn records(arguments: &SiteArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(arguments)?;
     let rows = inventory(&workspace.manifest)?;
-    if json { write_json(&rows) } else { print(&workspace.manifest, &rows) }
+    if json {
+        return write_json(&rows);
+    }
+    print(&workspace.manifest, &rows)?;
+    doubted_unit(&workspace.manifest, &rows).iter().for_each(|sentence| say!("{sentence}"));
+    Ok(())
 }
 
 /// All records of a manifest in files; none where they are computed.
@@ -94,6 +100,23 @@ pub fn inventory(manifest: &Manifest) -> Result<Vec<Row>> {
             .usage()
     });
     Error::all(absent.collect()).map(|()| rows)
+}
+
+/// Largest peak of all records of a site up to which a unit may be a mistake, m/s²: as many g are a usual strong motion.
+const WEAK_M_S2: f64 = 0.3;
+
+/// A sentence where a unit that the manifest declares makes all motions weak.
+pub fn doubted_unit(manifest: &Manifest, rows: &[Row]) -> Option<String> {
+    let unit = manifest.site.records.as_ref()?.unit?;
+    let peaks = rows.iter().filter_map(|row| row.content.as_ref()).flat_map(|content| content.peak_m_s2.values());
+    let largest_m_s2 = peaks.copied().fold(0.0, f64::max);
+    (largest_m_s2 > 0.0 && largest_m_s2 < WEAK_M_S2).then(|| {
+        let value = largest_m_s2 / unit.m_s2();
+        format!(
+            "`records.unit` is {unit}, by which the largest peak of all is {:.4} g; the files hold {value:.3}: is that g, gal or m/s²?",
+            largest_m_s2 / G_M_S2
+        )
+    })
 }
 
 fn content(record: &Record, settings: &records::RecordSettings) -> Content {

@@ -265,7 +265,7 @@ impl<'a> Reader<'a> {
     }
 
     fn network(&self, prefix: &str, network: &Mlp) -> Result<Vec<f32>> {
-        let mut parameters = Vec::with_capacity(network.n_parameter());
+        let mut parameters = Vec::new();
         for Tensor { name, range, .. } in network.tensors() {
             parameters.extend(self.floats(&format!("{prefix}.{name}"), range.len())?);
         }

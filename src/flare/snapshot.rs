@@ -180,3 +180,32 @@ pub(super) fn bytes_mask(mask: &[bool]) -> Vec<u8> {
 pub(super) fn floats(bytes: &[u8]) -> Vec<f32> {
     bytes.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_changed_byte_or_another_training_starts_afresh() {
+        let dir = tempfile::tempdir().unwrap();
+        let mut snapshot = Snapshot::default();
+        snapshot.floats("weights", &[0.5, -1.5]);
+        snapshot.text("shape", "wide".into());
+        snapshot.save(dir.path(), "this").unwrap();
+        let back = Snapshot::load(dir.path(), "this").unwrap();
+        assert_eq!(back.get_floats("weights"), Some(vec![0.5, -1.5]));
+        assert!(Snapshot::load(dir.path(), "that").is_none());
+        let path = dir.path().join(FILE);
+        let sound = std::fs::read(&path).unwrap();
+        for i in 0..sound.len() {
+            let mut changed = sound.clone();
+            changed[i] ^= 4;
+            std::fs::write(&path, &changed).unwrap();
+            assert!(Snapshot::load(dir.path(), "this").is_none(), "byte {i}");
+        }
+        for length in 0..sound.len() {
+            std::fs::write(&path, &sound[..length]).unwrap();
+            assert!(Snapshot::load(dir.path(), "this").is_none(), "{length} bytes");
+        }
+    }
+}

@@ -44,7 +44,7 @@ impl Format for At2 {
         let unit = reading.unit(stated)?;
         let line = lines.take()?;
         let (count, dt_s) = samples(line).ok_or_else(|| lines.wrong("number and step of the samples", line))?;
-        let mut values = Vec::with_capacity(count);
+        let mut values = Vec::new();
         while lines.peek().is_some() {
             for word in lines.take()?.split_whitespace() {
                 let value: f64 = word.parse().map_err(|_| lines.wrong("numbers", word))?;
