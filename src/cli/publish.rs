@@ -1,5 +1,6 @@
 //! What people look at beside what stages publish: numbers, report and corrected manifest of a site.
 
+use super::output::say;
 use super::workspace::Workspace;
 use crate::error::{Context, Result};
 use crate::pipeline::{self, Node, StageStatus, write_if_changed};
@@ -10,6 +11,9 @@ use std::path::Path;
 
 /// The report.
 const PAGE: &str = "report.html";
+const METRICS: &str = "metrics.json";
+/// The corrected manifest.
+const CORRECTED: &str = "site.corrected.toml";
 
 /// Writes all of it as far as there is any.
 ///
@@ -21,8 +25,23 @@ pub fn publish(workspace: &Workspace) -> Result<()> {
         let stages = pipeline::status(&site, graph)?;
         metrics(workspace, &folder, &stages)?;
         report(workspace, &folder, stages)?;
+        [PAGE, METRICS].into_iter().try_for_each(|name| site.supersede(name))?;
     }
     correction(workspace)
+}
+
+/// Moves what is not up to date of it aside, after a run that failed.
+///
+/// # Errors
+/// When a file cannot be moved.
+pub fn set_aside(workspace: &Workspace) -> Result<()> {
+    let (site, graph) = (workspace.site(), &workspace.graph);
+    for (stage, name) in [("report", PAGE), ("report", METRICS), ("correct", CORRECTED)] {
+        if pipeline::output(&site, graph, stage).is_err() && site.set_aside(name)? {
+            say!("`{name}` of an earlier run moved to `earlier`");
+        }
+    }
+    Ok(())
 }
 
 /// `site.corrected.toml`: the manifest with the sections that the stage `correct` wrote, a site of its own that runs by
@@ -33,7 +52,8 @@ fn correction(workspace: &Workspace) -> Result<()> {
     let path = folder.join(correct::FILE);
     let text = std::fs::read_to_string(&path).context(|| format!("cannot read `{}`", path.display()))?;
     let sections: toml::Table = toml::from_str(&text).context(|| format!("`{}` is no TOML", path.display()))?;
-    let published = site.dir().join("site.corrected.toml");
+    let published = site.dir().join(CORRECTED);
+    site.supersede(CORRECTED)?;
     if sections.iter().all(|(name, section)| workspace.table.get(name) == Some(section)) {
         if published.is_file() {
             std::fs::remove_file(&published).context(|| format!("cannot remove `{}`", published.display()))?;
@@ -106,6 +126,6 @@ fn metrics(workspace: &Workspace, folder: &Path, stages: &[StageStatus]) -> Resu
         stages.iter().filter_map(|s| Some((s.stage.clone(), json!(s.seconds?)))).collect();
     metrics.insert("timings_s".into(), Value::Object(timings));
     let text = serde_json::to_string_pretty(&metrics).context(|| "cannot write the metrics".into())? + "\n";
-    write_if_changed(&workspace.site().dir().join("metrics.json"), text.as_bytes())?;
+    write_if_changed(&workspace.site().dir().join(METRICS), text.as_bytes())?;
     Ok(())
 }

@@ -123,6 +123,9 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     let start = std::time::Instant::now();
     let mut summary = pipeline::run(&site, &workspace.graph, &options, Mode::Run, &terminal)?;
     publish(&workspace)?;
+    if !summary.failures.is_empty() {
+        publish::set_aside(&workspace)?;
+    }
     let answer = Answer::of(&workspace);
     if json {
         print_json(&summary, Some(&answer))?;

@@ -247,10 +247,11 @@ impl<'a> Crew<'a> {
             if board.stand[index] != Stand::Broken {
                 continue;
             }
-            let moved = self.planner.site.set_aside(node)?;
-            if !moved.is_empty() {
-                let text = format!("{} of an earlier run moved to `{EARLIER}`", moved.join(", "));
-                self.reporter.event(&Event::Warning { stage: &node.name, text: &text });
+            for (_, name) in &node.publishes {
+                if self.planner.site.set_aside(name)? {
+                    let text = format!("`{name}` of an earlier run moved to `{EARLIER}`");
+                    self.reporter.event(&Event::Warning { stage: &node.name, text: &text });
+                }
             }
         }
         Ok(())

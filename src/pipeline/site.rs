@@ -45,19 +45,31 @@ impl Site<'_> {
         Ok((self.dir().join(file), content_hash(text.as_bytes())))
     }
 
-    /// Moves what an earlier run published of a node aside: it is not of the settings as they are. Says what was moved.
-    pub(super) fn set_aside(&self, node: &Node) -> Result<Vec<String>> {
-        let mut moved = Vec::new();
-        for (_, name) in &node.publishes {
-            let (from, to) = (self.dir().join(name), self.dir().join(EARLIER).join(name));
-            if from.is_file() {
-                let what = || format!("cannot move `{}` aside", from.display());
-                to.parent().map_or(Ok(()), fs::create_dir_all).context(what)?;
-                fs::rename(&from, &to).context(what)?;
-                moved.push(name.clone());
-            }
+    /// Moves a file of the folder of the site to `earlier`: it is not of the settings as they are. Whether there was one.
+    ///
+    /// # Errors
+    /// When it cannot be moved.
+    pub fn set_aside(&self, name: &str) -> Result<bool> {
+        let (from, to) = (self.dir().join(name), self.dir().join(EARLIER).join(name));
+        if !from.is_file() {
+            return Ok(false);
         }
-        Ok(moved)
+        let what = || format!("cannot move `{}` aside", from.display());
+        to.parent().map_or(Ok(()), fs::create_dir_all).context(what)?;
+        fs::rename(&from, &to).context(what)?;
+        Ok(true)
+    }
+
+    /// Removes what was set aside of a file that is up to date again.
+    ///
+    /// # Errors
+    /// When it cannot be removed.
+    pub fn supersede(&self, name: &str) -> Result<()> {
+        let earlier = self.dir().join(EARLIER).join(name);
+        remove_file(&earlier)?;
+        // Where there is more in it, it stays.
+        let _ = earlier.parent().map(fs::remove_dir);
+        Ok(())
     }
 
     /// Copies the files a node publishes to the folder of the site, in place of earlier ones. One that its output does not have is removed
@@ -65,20 +77,23 @@ impl Site<'_> {
     pub(super) fn publish(&self, node: &Node, entry: &Path) -> Result<()> {
         for (file, name) in &node.publishes {
             let (from, to) = (entry.join(file), self.dir().join(name));
-            let earlier = self.dir().join(EARLIER).join(name);
-            let is_published = from.is_file();
-            if is_published {
+            if from.is_file() {
                 copy_if_changed(&from, &to)?;
+            } else {
+                remove_file(&to)?;
             }
-            let over = if is_published { &earlier } else { &to };
-            if over.is_file() {
-                fs::remove_file(over).context(|| format!("cannot remove `{}`", over.display()))?;
-            }
-            // Where there is more in it, it stays.
-            let _ = earlier.parent().map(fs::remove_dir);
+            self.supersede(name)?;
         }
         Ok(())
     }
+}
+
+/// Removes a file if there is one.
+fn remove_file(path: &Path) -> Result<()> {
+    if path.is_file() {
+        fs::remove_file(path).context(|| format!("cannot remove `{}`", path.display()))?;
+    }
+    Ok(())
 }
 
 /// `last.toml`: stage → address of the entry it used last. Explains reruns and keeps entries from being collected.
