@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
 
-/// A small site that runs through every stage of FLARE-T in a second or two.
+/// A small site that runs through every stage of FLARE-T in a second.
 const SMALL: &[&str] = &[
     "configs/smoke.toml",
     "--pipeline",
@@ -35,6 +35,8 @@ const SMALL: &[&str] = &[
     "distill.epochs=4",
     "--set",
     "calibrate.epochs=4",
+    "--set",
+    "calibrate.solver=adam",
 ];
 
 /// Stages whose output is computed again under faults.
@@ -371,6 +373,35 @@ fn a_collection_takes_nothing_from_a_run() {
         fs::remove_dir_all(&runs_dir).expect("removable");
     }
     println!("collections beside a run: {collected} tried, {refused} refused, 0 runs failed");
+}
+
+/// A column that no motion gets through.
+const UNSOLVABLE: [&str; 6] = [
+    "--set",
+    "analysis.max_iterations=2",
+    "--set",
+    "analysis.min_step_s=0.001",
+    "--set",
+    "analysis.tolerance=0.000000000001",
+];
+
+#[test]
+fn a_run_that_fails_leaves_no_page_of_another_unmarked() {
+    let (place, expected) = finished();
+    let runs_dir = place.path().join("runs");
+    let (status, text) = said(&mut run(&runs_dir, &UNSOLVABLE));
+    assert_eq!(status, Some(1), "{text}");
+    assert!(text.contains("motion 001 did not finish"), "told without being asked: {text}");
+    assert!(text.contains("`report.html` of an earlier run moved to `earlier`"), "{text}");
+    for name in ["report.html", "metrics.json"] {
+        let site = runs_dir.join("smoke");
+        assert!(!site.join(name).exists() && site.join("earlier").join(name).is_file(), "{name}");
+    }
+    runs(&runs_dir, &[]);
+    // The records of the other column are stored besides, and this run remembers those of its own.
+    let own: BTreeMap<_, _> = lasting(&runs_dir).into_iter().filter(|(name, _)| expected.contains_key(name)).collect();
+    assert_same(&own, &expected, "a run that failed");
+    assert!(!runs_dir.join("smoke/earlier").exists());
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Removes what no site uses any more.
 
 use super::files::{HALF_WRITTEN, list};
-use super::site::Memory;
+use super::site::{Memory, SETTINGS};
 use super::{Address, Key, Lock, Outputs, Store};
 use crate::error::{Context, Result};
 use serde::Serialize;
@@ -59,11 +59,12 @@ pub fn unused(run_dir: &Path, also: &[Address]) -> Result<Vec<Unused>> {
 /// When a run is at work, or something cannot be removed.
 pub fn remove(run_dir: &Path, also: &[Address], entries: &[Unused]) -> Result<()> {
     let store = Store::new(run_dir);
-    if entries.is_empty() {
+    // What a run has begun with may be in no list yet.
+    let lease = store.alone();
+    if entries.is_empty() && lease.is_err() {
         return Ok(());
     }
-    // What a run has begun with may be in no list yet.
-    let _lease = store.alone()?;
+    let _lease = lease?;
     // A run may have come and gone since they were listed.
     let still = unused(run_dir, also)?;
     for Unused { entry, paths, .. } in still.iter().filter(|s| entries.iter().any(|e| e.entry == s.entry)) {
@@ -74,15 +75,16 @@ pub fn remove(run_dir: &Path, also: &[Address], entries: &[Unused]) -> Result<()
             result.context(|| format!("cannot remove `{}`", path.display()))?;
         }
     }
-    remove_half_written(run_dir)
+    remove_left_over(run_dir)
 }
 
-/// Removes files of the folders of sites that a killed run had not given their names yet.
-fn remove_half_written(run_dir: &Path) -> Result<()> {
+/// Removes what a killed run left in the folders of sites: files that had no names yet, and what says that it is at work.
+fn remove_left_over(run_dir: &Path) -> Result<()> {
     let what = || format!("cannot read `{}`", run_dir.display());
     for site in fs::read_dir(run_dir).context(what)? {
         for file in fs::read_dir(site.context(what)?.path()).into_iter().flatten().flatten() {
-            if file.file_name().to_string_lossy().starts_with(HALF_WRITTEN) {
+            let name = file.file_name().to_string_lossy().into_owned();
+            if [HALF_WRITTEN, SETTINGS].iter().any(|start| name.starts_with(start)) {
                 fs::remove_file(file.path()).context(|| format!("cannot remove `{}`", file.path().display()))?;
             }
         }

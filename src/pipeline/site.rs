@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 const LAST: &str = "last.toml";
+/// How the name of the file begins by which runs agree on settings.
+pub(super) const SETTINGS: &str = ".settings-";
 /// Folder of what was published before a run that failed.
 pub(super) const EARLIER: &str = "earlier";
 
@@ -41,7 +43,7 @@ impl Site<'_> {
         let names: Vec<&str> = graph.nodes().iter().map(|node| node.name.as_str()).collect();
         let pipeline = content_hash(names.join(" ").as_bytes());
         let text = toml::to_string(self.manifest).context(|| "the manifest cannot be written as TOML".into())?;
-        let file = format!(".settings-{}", pipeline.get(..8).unwrap_or(&pipeline));
+        let file = format!("{SETTINGS}{}", pipeline.get(..8).unwrap_or(&pipeline));
         Ok((self.dir().join(file), content_hash(text.as_bytes())))
     }
 
