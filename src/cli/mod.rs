@@ -3,6 +3,7 @@
 mod check;
 mod completions;
 mod export;
+mod fleet;
 mod gc;
 mod graph;
 mod init;
@@ -57,6 +58,10 @@ enum Command {
     Init(init::InitArguments),
     /// Run the pipeline of a site; what is cached is not computed again
     Run(run::RunArguments),
+    /// Run one pipeline for many sites on one cache; a page and a table of all
+    Fleet(fleet::FleetArguments),
+    /// Run one pipeline for a site under every combination of settings; a page and a table of all
+    Sweep(fleet::SweepArguments),
     /// What would run and why, stage by stage
     Plan(run::RunArguments),
     /// Every problem in a manifest at once, with file, line, caret and hint
@@ -123,6 +128,8 @@ pub fn dispatch(arguments: Arguments) -> Result<()> {
     match arguments.command {
         Command::Init(arguments) => init::init(&arguments, json),
         Command::Run(arguments) => run::run(&arguments, json),
+        Command::Fleet(arguments) => fleet::fleet(&arguments, json),
+        Command::Sweep(arguments) => fleet::sweep(&arguments, json),
         Command::Plan(arguments) => run::plan(&arguments, json),
         Command::Check(arguments) => check::check(&arguments, json),
         Command::Records(arguments) => records::records(&arguments, json),

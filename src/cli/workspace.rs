@@ -20,6 +20,7 @@ pub struct Workspace {
     pub pipeline: String,
     manifest_dir: PathBuf,
     run_dir: PathBuf,
+    folder: Option<String>,
 }
 
 impl Workspace {
@@ -39,13 +40,19 @@ impl Workspace {
         };
         let graph = Graph::new(&recipe, STAGES, &table)?;
         let run_dir = arguments.run_dir.clone().unwrap_or_else(|| root.join("runs"));
-        Ok(Self { manifest, table, graph, pipeline: recipe.source, manifest_dir, run_dir })
+        Ok(Self { manifest, table, graph, pipeline: recipe.source, manifest_dir, run_dir, folder: None })
+    }
+
+    /// The same with its results in another folder of the run directory than that of its site, if one is given.
+    #[must_use]
+    pub fn in_folder(self, folder: Option<String>) -> Self {
+        Self { folder, ..self }
     }
 
     /// The site as the pipeline knows it.
     pub fn site(&self) -> Site<'_> {
         Site {
-            name: &self.manifest.site.name,
+            name: self.folder.as_deref().unwrap_or(&self.manifest.site.name),
             manifest: &self.table,
             manifest_dir: &self.manifest_dir,
             run_dir: &self.run_dir,
@@ -74,7 +81,7 @@ pub fn results_folder(asked: Option<&Path>) -> Result<PathBuf> {
 
 /// The folder of the project that `dir` is in, as a path from the working directory where it is below that: the nearest one up that holds
 /// `pipelines` or results; `dir` itself where there is none.
-fn project_root(dir: &Path) -> PathBuf {
+pub fn project_root(dir: &Path) -> PathBuf {
     let Ok(here) = std::env::current_dir() else { return dir.to_path_buf() };
     let absolute = here.join(dir);
     let absolute = absolute.canonicalize().unwrap_or(absolute);

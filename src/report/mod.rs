@@ -22,6 +22,7 @@ mod distill;
 mod events;
 mod execution;
 mod figure;
+mod fleet;
 mod heat;
 mod held_out;
 mod losses;
@@ -46,6 +47,7 @@ mod traces;
 pub use answer::answer;
 pub use content::Content;
 pub use execution::{ExecutedStage, Execution, executed};
+pub use fleet::{FleetRow, fleet_csv, fleet_page};
 pub use pictures::pictures;
 
 use crate::Result;

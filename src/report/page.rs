@@ -7,21 +7,28 @@ use super::figure::Section;
 
 const STYLE: &str = include_str!("style.css");
 
+/// The head of a document.
+pub(super) fn head(title: &str) -> Markup {
+    html! {
+        head {
+            meta charset="utf-8";
+            meta name="viewport" content="width=device-width, initial-scale=1";
+            // Nothing may be loaded or run, whatever a name in the content says.
+            meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:";
+            title { (title) }
+            link rel="icon" href="data:,";
+            style { (PreEscaped(STYLE)) }
+        }
+    }
+}
+
 /// The whole document.
 pub(super) fn page(content: &Content, sections: Vec<Section>) -> Markup {
     let title = format!("{} – site response report", content.site);
     html! {
         (DOCTYPE)
         html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                // Nothing may be loaded or run, whatever a name in the content says.
-                meta http-equiv="Content-Security-Policy" content="default-src 'none'; style-src 'unsafe-inline'; img-src data:";
-                title { (title) }
-                link rel="icon" href="data:,";
-                style { (PreEscaped(STYLE)) }
-            }
+            (head(&title))
             body {
                 a.skip href="#summary" { "Skip to the summary" }
                 nav.toc aria-label="Contents" {
