@@ -19,6 +19,7 @@ mod report;
 mod reporter;
 mod run;
 mod schema;
+mod shard;
 mod show;
 mod signals;
 mod status;
@@ -94,6 +95,9 @@ enum Command {
         #[arg(value_enum, default_value = "site")]
         of: schema::SchemaOf,
     },
+    /// Compute one shard of an ensemble; called by jobs on a cluster
+    #[command(hide = true)]
+    Shard(shard::ShardArguments),
     /// Compare what is stored with its hashes, and mend it
     Verify(verify::VerifyArguments),
     /// Remove cache entries that no site refers to
@@ -144,6 +148,7 @@ pub fn dispatch(arguments: Arguments) -> Result<()> {
         Command::Graph(arguments) => graph::graph(&arguments, json),
         Command::List(arguments) => list::list(&arguments, json),
         Command::Schema { of } => schema::schema(of),
+        Command::Shard(arguments) => shard::shard(&arguments),
         Command::Verify(arguments) => verify::verify(&arguments, json),
         Command::Gc(arguments) => gc::gc(&arguments, json),
         Command::Completions(arguments) => completions::completions(&arguments),

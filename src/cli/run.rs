@@ -6,10 +6,11 @@ use super::names::Names;
 use super::output::{data, say, write_json};
 use super::publish::{self, publish};
 use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
-use super::signals::goes_on_when_run_again;
+use super::shard;
+use super::signals::{cancels_jobs, goes_on_when_run_again};
 use super::workspace::Workspace;
 use crate::error::Result;
-use crate::pipeline::{self, Action, Mode, Node, Options, Summary};
+use crate::pipeline::{self, Action, Mode, Node, Options, Slurm, Summary};
 use crate::progress::Quiet;
 use clap::{Args, ValueEnum};
 use serde_json::{Map, Value, json};
@@ -40,6 +41,9 @@ pub struct RunArguments {
     /// Where ensembles are computed
     #[arg(long, value_enum, default_value = "local")]
     executor: Executor,
+    /// Cancel jobs on a cluster when this is interrupted; otherwise they go on and the next run waits for them
+    #[arg(long)]
+    cancel_on_exit: bool,
     /// Say less
     #[arg(short, long, conflicts_with = "verbose")]
     quiet: bool,
@@ -52,6 +56,8 @@ pub struct RunArguments {
 enum Executor {
     /// This machine
     Local,
+    /// A cluster that runs Slurm, as `[executor.slurm]` of the manifest says
+    Slurm,
 }
 
 impl RunArguments {
@@ -112,10 +118,16 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     if arguments.dry_run {
         return plan(arguments, json);
     }
-    let Executor::Local = arguments.executor;
     let workspace = Workspace::open(&arguments.site)?;
-    let options = arguments.options()?;
+    let mut options = arguments.options()?;
+    if let Executor::Slurm = arguments.executor {
+        let settings = workspace.manifest.site.executor.slurm.clone();
+        options.slurm = Some(Slurm { command: shard::command(&arguments.site, settings.cpus)?, settings });
+    }
     goes_on_when_run_again();
+    if arguments.cancel_on_exit {
+        cancels_jobs();
+    }
     start_threads(options.jobs);
     let site = workspace.site();
     log_to(site.dir().join("log.txt"));

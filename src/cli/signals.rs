@@ -1,8 +1,10 @@
 //! What a signal that ends the program does: it says so, and how to go on.
 
 use super::output::say;
+use crate::pipeline::{active_jobs, cancel_jobs};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
+use std::io::IsTerminal;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::time::Duration;
@@ -11,6 +13,26 @@ use std::time::Duration;
 const LAST_WORD: Duration = Duration::from_millis(300);
 
 static CAN_GO_ON: AtomicBool = AtomicBool::new(false);
+static CANCELS_JOBS: AtomicBool = AtomicBool::new(false);
+
+/// Says that jobs on a cluster are to end with this process.
+pub(super) fn cancels_jobs() {
+    CANCELS_JOBS.store(true, Ordering::Relaxed);
+}
+
+/// Whether jobs that are at work are to be cancelled: as was said before, or as whoever interrupts says now.
+fn is_to_cancel(signal: i32, jobs: &[String]) -> bool {
+    if CANCELS_JOBS.load(Ordering::Relaxed) {
+        return true;
+    }
+    if signal != SIGINT || !std::io::stdin().is_terminal() {
+        return false;
+    }
+    say!("\nCancel job {} on the cluster? [y/N]", jobs.join(", "));
+    let mut answer = String::new();
+    let _ = std::io::stdin().read_line(&mut answer);
+    ["y", "yes"].contains(&answer.trim().to_lowercase().as_str())
+}
 
 /// Says that what this process does goes on where it was when it is started again.
 pub(super) fn goes_on_when_run_again() {
@@ -24,6 +46,14 @@ pub fn stop_on_signals() {
     let Ok(mut signals) = Signals::new(all) else { return };
     std::thread::spawn(move || {
         if let Some(signal) = signals.forever().next() {
+            let jobs = active_jobs();
+            if !jobs.is_empty() {
+                if is_to_cancel(signal, &jobs) {
+                    cancel_jobs();
+                } else {
+                    say!("\njob {} goes on; the next run waits for it", jobs.join(", "));
+                }
+            }
             let (said, heard) = mpsc::channel();
             std::thread::spawn(move || {
                 let how = if CAN_GO_ON.load(Ordering::Relaxed) { "; run again to go on" } else { "" };

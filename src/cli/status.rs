@@ -22,6 +22,9 @@ pub fn status(arguments: &SiteArguments, json: bool) -> Result<()> {
         let time = stage.seconds.map_or("–".into(), |s| format!("{s:.1} s"));
         let size = stage.bytes.map_or("–".into(), |b| format!("{:.1} MB", b as f64 / 1e6));
         data!("{:22} {:10} {:14} {:>10} {:>10}", stage.stage, stage.state, key, time, size)?;
+        if let Some(shards) = &stage.shards {
+            data!("{:22} {shards}", "")?;
+        }
     }
     Ok(())
 }

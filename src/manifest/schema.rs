@@ -5,6 +5,7 @@ use crate::column::{Analysis, Layer, Rayleigh};
 use crate::diagnosis::DiagnoseSettings;
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings};
 use crate::motion::MotionSettings;
+use crate::pipeline::SlurmSettings;
 use crate::{ranges, registry};
 use serde_json::Value as Json;
 
@@ -19,6 +20,7 @@ pub fn schema() -> schemars::Schema {
     ranges::describe::<DistillSettings>(&mut schema, "DistillSettings");
     ranges::describe::<CalibrateSettings>(&mut schema, "CalibrateSettings");
     ranges::describe::<DiagnoseSettings>(&mut schema, "DiagnoseSettings");
+    ranges::describe::<SlurmSettings>(&mut schema, "SlurmSettings");
     schemars::Schema::try_from(schema).expect("a schema with ranges is one")
 }
 

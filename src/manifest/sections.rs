@@ -6,12 +6,21 @@ use crate::diagnosis::DiagnoseSettings;
 use crate::effects::Tolerances;
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings, Recipe};
 use crate::motion::MotionSettings;
+use crate::pipeline::SlurmSettings;
 use crate::ranges::Ranged as _;
 use crate::records::RecordSettings;
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+
+/// `[executor]`: what computes ensembles beside this machine.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ExecutorSection {
+    /// A cluster that runs Slurm.
+    pub slurm: SlurmSettings,
+}
 
 /// A site manifest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -59,6 +68,9 @@ pub struct Site {
     /// Search and decision of the diagnosis.
     #[serde(default)]
     pub diagnose: DiagnoseSettings,
+    /// Where ensembles are computed with `--executor`.
+    #[serde(default)]
+    pub executor: ExecutorSection,
     /// What a study of two source models compares this one with.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub study: Option<StudySection>,

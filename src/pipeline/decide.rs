@@ -1,5 +1,6 @@
 //! What is to be done with each stage, and why: the one decision behind `plan` and `run`.
 
+use super::executor::Slurm;
 use super::parameters::{leaves, select};
 use super::site::Memory;
 use super::{Address, Change, Graph, OutsideFile, Parts, Site, State, Store};
@@ -22,12 +23,14 @@ pub struct Options {
     pub force: Vec<String>,
     /// How many stages, and how many items, are computed at once.
     pub jobs: usize,
+    /// The cluster that computes ensembles, if it is not this machine.
+    pub slurm: Option<Slurm>,
 }
 
 impl Default for Options {
     fn default() -> Self {
         let jobs = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
-        Self { only: Vec::new(), from: None, until: None, force: Vec::new(), jobs }
+        Self { only: Vec::new(), from: None, until: None, force: Vec::new(), jobs, slurm: None }
     }
 }
 

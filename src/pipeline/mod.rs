@@ -31,6 +31,7 @@ mod whole_runs;
 
 pub use change::Change;
 pub use decide::{Action, Decision, Options, Reason};
+pub use executor::{Shard, Slurm, SlurmSettings, active_jobs, cancel_jobs, shard_of};
 pub use files::write_if_changed;
 pub use gc::{Unused, remove, unused};
 pub use graph::{Graph, Link, Node};
@@ -38,7 +39,7 @@ pub use key::{Address, Key, OutsideFile, Parts, content_hash};
 pub use lock::{Lock, Owner};
 pub use recipe::{Recipe, RecipeStage};
 pub use reporter::{Event, Reporter};
-pub use run::{Failure, Mode, Summary, files, output, outside_files, run};
+pub use run::{Failure, Mode, Summary, compute_shard, files, output, outside_files, run};
 pub use site::Site;
 pub use stage::Stage;
 pub use status::{StageStatus, status};

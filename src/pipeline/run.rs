@@ -1,7 +1,7 @@
 //! Carries a plan out: stages that are ready run side by side; a failure stops what depends on it and nothing else.
 
 use super::decide::{Planner, Resolved};
-use super::executor::{Permits, guarded};
+use super::executor::{Permits, Shard, ShardRun, Slurm, guarded};
 use super::files::remove_dir;
 use super::lock::{Agreement, Lease};
 use super::reporter::StageProgress;
@@ -11,6 +11,7 @@ use super::{Action, Address, Decision, Event, Graph, Lock, Options, OutsideFile,
 use crate::error::{Error, Result};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -83,6 +84,7 @@ pub fn run(site: &Site<'_>, graph: &Graph, options: &Options, mode: Mode, report
         planner: &planner,
         reporter,
         permits: Permits::new(options.jobs),
+        slurm: options.slurm.as_ref(),
         decisions: summary.decisions.clone(),
         board: Mutex::new(Board { stand: progress, resolved, summary: &mut summary }),
         moved: Condvar::new(),
@@ -186,6 +188,7 @@ struct Crew<'a> {
     planner: &'a Planner<'a>,
     reporter: &'a dyn Reporter,
     permits: Permits,
+    slurm: Option<&'a Slurm>,
     decisions: Vec<Decision>,
     board: Mutex<Board<'a>>,
     moved: Condvar,
@@ -338,23 +341,15 @@ impl<'a> Crew<'a> {
         self.reporter.event(&Event::Started { stage, last_s: decision.last_s });
         let progress = StageProgress::new(stage, self.reporter);
         let draft = store.draft(&known.address)?;
-        let played = |links: &Vec<super::Link>| {
-            let path = |node: usize| inputs[node].as_ref().map(|input| store.dir(&input.address));
-            links.iter().filter_map(|link| Some((link.instance.clone(), path(link.node)?))).collect()
-        };
         let task = Task {
-            name: stage,
-            instance: node.instance.as_deref(),
-            parameters: known.parameters.clone(),
-            manifest_dir: planner.site.manifest_dir,
-            inputs: node.inputs.iter().map(|(role, links)| (role.clone(), played(links))).collect(),
-            output_dir: draft.dir.clone(),
-            checkpoint_dir: store.checkpoint_dir(&known.address),
-            store,
-            permits: &self.permits,
-            is_forced,
-            progress: &progress,
-            records: Mutex::default(),
+            slurm: self.slurm,
+            ..task(
+                planner,
+                index,
+                known,
+                inputs,
+                Surroundings { output_dir: draft.dir.clone(), permits: &self.permits, is_forced, progress: &progress },
+            )
         };
         let start = Instant::now();
         if let Err(error) = guarded(|| node.stage.run(&task)) {
@@ -372,6 +367,81 @@ impl<'a> Crew<'a> {
         self.reporter.event(&Event::Finished { stage, seconds });
         Ok(true)
     }
+}
+
+/// What a stage is given beside what the plan knows of it.
+struct Surroundings<'a> {
+    output_dir: PathBuf,
+    permits: &'a Permits,
+    is_forced: bool,
+    progress: &'a StageProgress<'a>,
+}
+
+fn task<'a>(
+    planner: &'a Planner<'a>,
+    index: usize,
+    known: &'a Resolved,
+    inputs: &[Option<Resolved>],
+    around: Surroundings<'a>,
+) -> Task<'a> {
+    let (node, store) = (&planner.graph.nodes()[index], &planner.store);
+    let played = |links: &Vec<super::Link>| {
+        let path = |node: usize| inputs[node].as_ref().map(|input| store.dir(&input.address));
+        links.iter().filter_map(|link| Some((link.instance.clone(), path(link.node)?))).collect()
+    };
+    Task {
+        name: &node.name,
+        instance: node.instance.as_deref(),
+        parameters: known.parameters.clone(),
+        manifest_dir: planner.site.manifest_dir,
+        inputs: node.inputs.iter().map(|(role, links)| (role.clone(), played(links))).collect(),
+        output_dir: around.output_dir,
+        checkpoint_dir: store.checkpoint_dir(&known.address),
+        store,
+        permits: around.permits,
+        is_forced: around.is_forced,
+        progress: around.progress,
+        slurm: None,
+        address: &known.address,
+        shard: None,
+        records: Mutex::default(),
+    }
+}
+
+/// Computes one shard of the ensemble of a stage, and nothing else of it.
+///
+/// # Errors
+/// When what the stage reads is not stored, it has no such items, or the machine fails; that the model has no result for an item is none.
+pub fn compute_shard(
+    site: &Site<'_>,
+    graph: &Graph,
+    (stage, is_forced, shard): (&str, bool, Shard),
+    options: &Options,
+    reporter: &dyn Reporter,
+) -> Result<()> {
+    let _lease = Lease::shared(&site.store().lease_path(), || reporter.event(&Event::Waits { stage, owner: None }))?;
+    let planner = Planner::new(site, graph, options)?;
+    let (_, resolved) = planner.plan()?;
+    let index = graph.select(stage)?.into_iter().next().unwrap_or_default();
+    let unknown = || Error::new(format!("what stage `{stage}` reads is not stored"));
+    let known = resolved[index].as_ref().ok_or_else(unknown)?;
+    for input in graph.nodes()[index].dependencies() {
+        let address = &resolved[input].as_ref().ok_or_else(unknown)?.address;
+        if !matches!(planner.content(input, address), State::Sound(_)) {
+            return Err(unknown().at(format!("`{address}`")));
+        }
+    }
+    let scratch = tempfile::tempdir().map_err(|e| Error::new("there is no folder for what is not kept").cause(e))?;
+    let (progress, permits) = (StageProgress::new(stage, reporter), Permits::new(options.jobs));
+    let around =
+        Surroundings { output_dir: scratch.path().to_path_buf(), permits: &permits, is_forced, progress: &progress };
+    let own = ShardRun { shard, is_done: AtomicBool::new(false) };
+    let task = Task { shard: Some(&own), ..task(&planner, index, known, &resolved, around) };
+    let ended = guarded(|| graph.nodes()[index].stage.run(&task));
+    if own.is_done.load(Ordering::Relaxed) {
+        return Ok(());
+    }
+    ended.and_then(|()| Err(Error::new(format!("stage `{stage}` has no `{}` items", own.shard.kind))))
 }
 
 /// Makes a stored output the one of the site: remembered, its files published. Writes nothing that is so already.

@@ -1,6 +1,7 @@
 //! How the stages of a site stand, without doing anything.
 
 use super::decide::Planner;
+use super::executor::standing;
 use super::{Action, Address, Graph, Lock, Options, Owner, Reason, Site};
 use crate::error::Result;
 use serde::Serialize;
@@ -28,6 +29,8 @@ pub struct StageStatus {
     pub bytes: Option<u64>,
     /// Who is computing it.
     pub owner: Option<Owner>,
+    /// How far its items are on a cluster.
+    pub shards: Option<String>,
 }
 
 /// How all stages stand, in the order of the graph.
@@ -58,6 +61,7 @@ pub fn status(site: &Site<'_>, graph: &Graph) -> Result<Vec<StageStatus>> {
             done_unix_s: timing.as_ref().map(|t| t.done_unix_s).filter(|done| *done > 0),
             bytes: entry.filter(|_| is_cached).and_then(|e| store.outputs(e)).map(|o| store.bytes(&o)),
             owner,
+            shards: entry.filter(|_| !is_cached).and_then(|e| standing(&store.shards_dir(e))),
             stage: decision.stage,
             kind: decision.kind,
             reasons: decision.reasons,

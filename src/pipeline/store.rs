@@ -177,6 +177,16 @@ impl Store {
         })
     }
 
+    /// File that says what became of an item in a shard on a cluster, there only while it is waited for.
+    pub(super) fn mark_path(&self, address: &Address) -> PathBuf {
+        self.beside(address, "mark")
+    }
+
+    /// Folder of the shards of an entry on a cluster, their job and their logs.
+    pub(super) fn shards_dir(&self, address: &Address) -> PathBuf {
+        self.beside(address, "slurm")
+    }
+
     /// Folder for work in flight that survives a kill.
     pub(super) fn checkpoint_dir(&self, address: &Address) -> PathBuf {
         self.beside(address, "checkpoint")

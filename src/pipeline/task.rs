@@ -1,6 +1,6 @@
 //! What a stage is given to do its work: inputs by role, parameters, an empty folder, a seed, and items.
 
-use super::executor::{Ensemble, Permits};
+use super::executor::{Ensemble, Permits, ShardRun, Slurm, Submission};
 use super::parameters::lookup;
 use super::{Address, ItemRecord, Outputs, Store};
 use crate::error::{Context, Error, Result};
@@ -44,6 +44,11 @@ pub struct Task<'a> {
     pub(super) permits: &'a Permits,
     pub(super) is_forced: bool,
     pub(super) progress: &'a dyn Progress,
+    /// Who computes ensembles, if not this process, and where its output will lie.
+    pub(super) slurm: Option<&'a Slurm>,
+    pub(super) address: &'a Address,
+    /// What of an ensemble this process computes, if it is not all.
+    pub(super) shard: Option<&'a ShardRun>,
     /// By ensemble; sorted, since several may be computed at once and end in any order.
     pub(super) records: Mutex<BTreeSet<Vec<ItemRecord>>>,
 }
@@ -185,6 +190,12 @@ impl Task<'_> {
             progress: self.progress,
             is_forced: self.is_forced,
             compute: &compute,
+            submission: self.slurm.map(|slurm| Submission {
+                slurm,
+                stage: self.name,
+                folder: self.store.shards_dir(self.address),
+            }),
+            shard: self.shard,
         };
         let records = ensemble.run(kind, version, items)?;
         self.records.lock().unwrap_or_else(PoisonError::into_inner).insert(records.clone());

@@ -4,6 +4,7 @@
 //! share the work; only at the end does one wait for what the other holds. Workers are plain threads and hold no permit
 //! while they wait for a lock, so nothing waits in a circle.
 
+use super::slurm::{Shard, Submission, mark};
 use crate::error::{Context, Error, Result};
 use crate::numerics::threads;
 use crate::pipeline::parameters::leaves;
@@ -11,7 +12,7 @@ use crate::pipeline::{Address, Item, ItemRecord, Lock, Parts, State, Store};
 use crate::progress::Progress;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -52,13 +53,23 @@ pub(in crate::pipeline) struct Ensemble<'a> {
     pub(in crate::pipeline) progress: &'a dyn Progress,
     pub(in crate::pipeline) is_forced: bool,
     pub(in crate::pipeline) compute: &'a (dyn Fn(usize, &Path) -> Result<()> + Sync),
+    /// Who computes several items, if not this process.
+    pub(in crate::pipeline) submission: Option<Submission<'a>>,
+    /// What this process computes, if it is one of those.
+    pub(in crate::pipeline) shard: Option<&'a ShardRun>,
+}
+
+/// A shard that this process computes; its stage goes no farther than that.
+pub(in crate::pipeline) struct ShardRun {
+    pub(in crate::pipeline) shard: Shard,
+    pub(in crate::pipeline) is_done: AtomicBool,
 }
 
 /// Distinct work: items with equal parameters are computed once.
-struct Job {
+pub(super) struct Job {
     index: usize,
     parts: Parts,
-    address: Address,
+    pub(super) address: Address,
 }
 
 impl Ensemble<'_> {
@@ -72,6 +83,17 @@ impl Ensemble<'_> {
             addresses.push(address.clone());
             distinct.entry(address.clone()).or_insert(Job { index, parts, address });
         }
+        if let Some(own) = self.shard.filter(|own| own.shard.kind == kind) {
+            let jobs: Vec<Job> =
+                distinct.into_values().filter(|job| own.shard.items.contains(&job.address.to_string())).collect();
+            if jobs.len() < own.shard.items.len() {
+                let hint = "the manifest, or the program, is another than that of the run that submitted the shard";
+                return Err(Error::new("the shard has items that the stage has not").hint(hint));
+            }
+            self.compute_all(&jobs)?;
+            own.is_done.store(true, Ordering::Relaxed);
+            return Err(Error::new("the shard is done"));
+        }
         let n_distinct = distinct.len();
         let mut jobs: Vec<Job> = distinct.into_values().filter(|job| !self.is_done(job)).collect();
         jobs.sort_by_key(|job| job.index);
@@ -82,7 +104,10 @@ impl Ensemble<'_> {
         if !jobs.is_empty() {
             self.progress.start(kind, jobs.len() as u64);
         }
-        let failures = self.compute_all(&jobs)?;
+        let failures = match &self.submission {
+            Some(submission) if jobs.len() > 1 => submission.compute(self, kind, &jobs)?,
+            _ => self.compute_all(&jobs)?,
+        };
         let record = |(item, address): (&Item, Address)| ItemRecord {
             id: item.id.clone(),
             failure: failures.get(&address).cloned(),
@@ -101,7 +126,11 @@ impl Ensemble<'_> {
         let held_elsewhere = Mutex::new(Vec::new());
         let failures = Mutex::new(BTreeMap::new());
         let finish = |job: &Job, lock: Lock| -> Result<()> {
-            if let Err(failure) = self.compute_one(job, lock)? {
+            let outcome = self.compute_one(job, lock)?;
+            if self.shard.is_some() {
+                mark(&self.store.mark_path(&job.address), &outcome)?;
+            }
+            if let Err(failure) = outcome {
                 failures.lock().unwrap_or_else(PoisonError::into_inner).insert(job.address.clone(), failure);
             }
             self.progress.advance(1);

@@ -1,5 +1,8 @@
 //! Who computes the items of an ensemble.
 
 mod local;
+mod slurm;
 
-pub(super) use local::{Ensemble, Permits, guarded};
+pub(super) use local::{Ensemble, Permits, ShardRun, guarded};
+pub use slurm::{Shard, Slurm, SlurmSettings, active_jobs, cancel_jobs, shard_of};
+pub(super) use slurm::{Submission, standing};
