@@ -5,6 +5,7 @@ use super::jobs::{JobsArgument, start_threads};
 use super::output::{data, say, write_json};
 use super::publish;
 use super::reporter::{clock, log_to};
+use super::shard::{self, ExecutorArgument};
 use super::signals::goes_on_when_run_again;
 use super::workspace::{Workspace, project_root};
 use crate::error::{Context, Error, Result};
@@ -35,6 +36,8 @@ struct Shared {
     run_dir: Option<PathBuf>,
     #[command(flatten)]
     jobs: JobsArgument,
+    #[command(flatten)]
+    executor: ExecutorArgument,
 }
 
 /// Which sites.
@@ -194,13 +197,14 @@ fn run_all(members: Vec<Member>, shared: &Shared, folder: &Path, title: &str, js
     goes_on_when_run_again();
     log_to(folder.join("log.txt"));
     let count = jobs.min(members.len()).max(1);
+    let runner = Runner { executor: &shared.executor, jobs: jobs.div_ceil(count), folder };
     let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let rows: Mutex<Vec<Option<FleetRow>>> = Mutex::new(members.iter().map(|_| None).collect());
     let work = || {
         while let Some((i, member)) =
             Some(next.fetch_add(1, Ordering::Relaxed)).and_then(|i| Some((i, members.get(i)?)))
         {
-            let row = ran(member, jobs.div_ceil(count), folder);
+            let row = runner.ran(member);
             let number = done.fetch_add(1, Ordering::Relaxed) + 1;
             let outcome =
                 row.error.as_deref().and_then(|e| e.lines().next()).or(row.verdict.as_deref()).unwrap_or("done");
@@ -249,45 +253,60 @@ fn apart(members: &[Member]) -> Result<()> {
     Ok(())
 }
 
-/// Runs one member to its end, whatever that is.
-fn ran(member: &Member, jobs: usize, folder: &Path) -> FleetRow {
-    let row = FleetRow { label: member.label.clone(), settings: member.settings.clone(), ..FleetRow::default() };
-    completed(member, jobs, folder, row.clone())
-        .unwrap_or_else(|error| FleetRow { error: Some(error.to_string()), ..row })
+/// How members are run.
+struct Runner<'a> {
+    executor: &'a ExecutorArgument,
+    /// Threads of each.
+    jobs: usize,
+    /// Where the page goes.
+    folder: &'a Path,
 }
 
-fn completed(member: &Member, jobs: usize, folder: &Path, row: FleetRow) -> Result<FleetRow> {
-    let workspace = Workspace::open(&member.arguments)?.in_folder(member.folder.clone());
-    let (site, graph) = (workspace.site(), &workspace.graph);
-    let reporter = Warnings { label: &member.label };
-    let summary = pipeline::run(&site, graph, &Options { jobs, ..Options::default() }, Mode::Run, &reporter)?;
-    publish::publish(&workspace)?;
-    let stages = pipeline::status(&site, graph)?;
-    let row =
-        FleetRow { stages_s: stages.iter().filter_map(|s| s.seconds).sum(), computed: summary.computed.len(), ..row };
-    if let Some(failure) = summary.failures.into_iter().next() {
-        publish::set_aside(&workspace)?;
-        return Ok(FleetRow { error: Some(failure.error.to_string()), ..row });
+impl Runner<'_> {
+    /// Runs one member to its end, whatever that is.
+    fn ran(&self, member: &Member) -> FleetRow {
+        let row = FleetRow { label: member.label.clone(), settings: member.settings.clone(), ..FleetRow::default() };
+        self.completed(member, row.clone()).unwrap_or_else(|error| FleetRow { error: Some(error.to_string()), ..row })
     }
-    let read = |name: &str| -> Value {
-        let bytes = std::fs::read(site.dir().join(name)).ok();
-        bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
-    };
-    let (found, metrics) = (read("loop.json"), read("metrics.json"));
-    let mut numbers = BTreeMap::new();
-    for place in ["test_median_nrmse_percent", "test_median_nrmse_coherent_mean_percent", "test_measures"] {
-        flattened(place, &found["summary"][place], &mut numbers);
+
+    fn completed(&self, member: &Member, row: FleetRow) -> Result<FleetRow> {
+        let workspace = Workspace::open(&member.arguments)?.in_folder(member.folder.clone());
+        let (site, graph) = (workspace.site(), &workspace.graph);
+        let reporter = Warnings { label: &member.label };
+        let slurm = self.executor.of(&workspace, || shard::command(&["shard"], &member.arguments, &[]))?;
+        let options = Options { jobs: self.jobs, slurm, ..Options::default() };
+        let summary = pipeline::run(&site, graph, &options, Mode::Run, &reporter)?;
+        publish::publish(&workspace)?;
+        let stages = pipeline::status(&site, graph)?;
+        let row = FleetRow {
+            stages_s: stages.iter().filter_map(|s| s.seconds).sum(),
+            computed: summary.computed.len(),
+            ..row
+        };
+        if let Some(failure) = summary.failures.into_iter().next() {
+            publish::set_aside(&workspace)?;
+            return Ok(FleetRow { error: Some(failure.error.to_string()), ..row });
+        }
+        let read = |name: &str| -> Value {
+            let bytes = std::fs::read(site.dir().join(name)).ok();
+            bytes.and_then(|bytes| serde_json::from_slice(&bytes).ok()).unwrap_or_default()
+        };
+        let (found, metrics) = (read("loop.json"), read("metrics.json"));
+        let mut numbers = BTreeMap::new();
+        for place in ["test_median_nrmse_percent", "test_median_nrmse_coherent_mean_percent", "test_measures"] {
+            flattened(place, &found["summary"][place], &mut numbers);
+        }
+        for place in ["rest", "discretisation_share"] {
+            flattened(place, &found[place], &mut numbers);
+        }
+        flattened("stages", &metrics["stages"], &mut numbers);
+        let is_there = site.dir().join("report.html").is_file();
+        let report = is_there.then(|| relative(self.folder, &site.dir().join("report.html")));
+        let verdict = found["verdict"].as_str().map(String::from);
+        let answer = found["answer"].as_array().into_iter().flatten();
+        let answer: Vec<String> = answer.filter_map(|line| Some(line.as_str()?.to_string())).collect();
+        Ok(FleetRow { attention: attention(&found), verdict, answer, numbers, report, ..row })
     }
-    for place in ["rest", "discretisation_share"] {
-        flattened(place, &found[place], &mut numbers);
-    }
-    flattened("stages", &metrics["stages"], &mut numbers);
-    let is_there = site.dir().join("report.html").is_file();
-    let report = is_there.then(|| relative(folder, &site.dir().join("report.html")));
-    let verdict = found["verdict"].as_str().map(String::from);
-    let answer = found["answer"].as_array().into_iter().flatten();
-    let answer: Vec<String> = answer.filter_map(|line| Some(line.as_str()?.to_string())).collect();
-    Ok(FleetRow { attention: attention(&found), verdict, answer, numbers, report, ..row })
 }
 
 /// The numbers below a place, but for those in lists.

@@ -21,6 +21,7 @@ const CORRECTED: &str = "site.corrected.toml";
 /// When an output cannot be read or a file not be written.
 pub fn publish(workspace: &Workspace) -> Result<()> {
     let (site, graph) = (workspace.site(), &workspace.graph);
+    let _lease = site.lease();
     if let Ok(folder) = pipeline::output(&site, graph, "report") {
         let stages = pipeline::status(&site, graph)?;
         metrics(workspace, &folder, &stages)?;

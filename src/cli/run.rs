@@ -6,13 +6,13 @@ use super::names::Names;
 use super::output::{data, say, write_json};
 use super::publish::{self, publish};
 use super::reporter::{Terminal, Verbosity, clock, log_to, plan_line};
-use super::shard;
-use super::signals::{cancels_jobs, goes_on_when_run_again};
+use super::shard::{self, ExecutorArgument};
+use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
 use crate::error::Result;
-use crate::pipeline::{self, Action, Mode, Node, Options, Slurm, Summary};
+use crate::pipeline::{self, Action, Mode, Node, Options, Summary};
 use crate::progress::Quiet;
-use clap::{Args, ValueEnum};
+use clap::Args;
 use serde_json::{Map, Value, json};
 use std::path::PathBuf;
 
@@ -38,26 +38,14 @@ pub struct RunArguments {
     dry_run: bool,
     #[command(flatten)]
     jobs: JobsArgument,
-    /// Where ensembles are computed
-    #[arg(long, value_enum, default_value = "local")]
-    executor: Executor,
-    /// Cancel jobs on a cluster when this is interrupted; otherwise they go on and the next run waits for them
-    #[arg(long)]
-    cancel_on_exit: bool,
+    #[command(flatten)]
+    executor: ExecutorArgument,
     /// Say less
     #[arg(short, long, conflicts_with = "verbose")]
     quiet: bool,
     /// Say more
     #[arg(short, long)]
     verbose: bool,
-}
-
-#[derive(Debug, Clone, Copy, ValueEnum)]
-enum Executor {
-    /// This machine
-    Local,
-    /// A cluster that runs Slurm, as `[executor.slurm]` of the manifest says
-    Slurm,
 }
 
 impl RunArguments {
@@ -120,14 +108,8 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     }
     let workspace = Workspace::open(&arguments.site)?;
     let mut options = arguments.options()?;
-    if let Executor::Slurm = arguments.executor {
-        let settings = workspace.manifest.site.executor.slurm.clone();
-        options.slurm = Some(Slurm { command: shard::command(&arguments.site, settings.cpus)?, settings });
-    }
+    options.slurm = arguments.executor.of(&workspace, || shard::command(&["shard"], &arguments.site, &[]))?;
     goes_on_when_run_again();
-    if arguments.cancel_on_exit {
-        cancels_jobs();
-    }
     start_threads(options.jobs);
     let site = workspace.site();
     log_to(site.dir().join("log.txt"));

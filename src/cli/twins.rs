@@ -4,9 +4,10 @@ use super::SiteArguments;
 use super::jobs::{JobsArgument, start_threads};
 use super::output::{data, write_json};
 use super::reporter::{Terminal, Verbosity};
+use super::shard::{self, ExecutorArgument, ShardArgument};
 use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
-use crate::error::{Error, Result};
+use crate::error::{Context, Error, Result};
 use crate::pipeline::{self, Graph, Mode, Options, Recipe, Site};
 use crate::stages::{STAGES, twins as stage};
 use crate::twin::{Matrix, Report, Share, Spread, Tally};
@@ -27,6 +28,10 @@ pub struct TwinsArguments {
     seed: u32,
     #[command(flatten)]
     jobs: JobsArgument,
+    #[command(flatten)]
+    executor: ExecutorArgument,
+    #[command(flatten)]
+    shard: ShardArgument,
     /// Say less
     #[arg(short, long)]
     quiet: bool,
@@ -62,6 +67,13 @@ pub fn twins(arguments: &TwinsArguments, json: bool) -> Result<()> {
     let name = format!("{}-twins", workspace.manifest.site.name);
     let site = Site { name: &name, manifest: &table, ..workspace.site() };
     start_threads(options.jobs);
+    if arguments.shard.compute(&site, &graph, &options)? {
+        return Ok(());
+    }
+    let here = std::env::current_dir().context(|| "it is not known which folder this is".into())?;
+    let seed = arguments.seed.to_string();
+    let more = ["--matrix".into(), here.join(&arguments.matrix).into(), "--seed".into(), seed.into()];
+    options.slurm = arguments.executor.of(&workspace, || shard::command(&["twins"], &arguments.site, &more))?;
     goes_on_when_run_again();
     let verbosity = if arguments.quiet { Verbosity::Quiet } else { Verbosity::Normal };
     let summary = pipeline::run(&site, &graph, &options, Mode::Run, &Terminal::new(verbosity))?;

@@ -128,7 +128,7 @@ fn lock_file(path: &Path) -> Result<File> {
 
 /// A share in a cache: many runs have one at a time, or one collection has all. The operating system takes it back from whoever dies.
 #[derive(Debug)]
-pub(super) struct Lease {
+pub struct Lease {
     _file: File,
 }
 
@@ -137,7 +137,7 @@ impl Lease {
     ///
     /// # Errors
     /// When the file cannot be made or locks are not supported there.
-    pub fn shared(path: &Path, waiting: impl FnOnce()) -> Result<Self> {
+    pub(super) fn shared(path: &Path, waiting: impl FnOnce()) -> Result<Self> {
         let file = lock_file(path)?;
         let locked = match file.try_lock_shared() {
             Err(TryLockError::WouldBlock) => {
@@ -154,7 +154,7 @@ impl Lease {
     ///
     /// # Errors
     /// As [`Lease::shared`].
-    pub fn alone(path: &Path) -> Result<Option<Self>> {
+    pub(super) fn alone(path: &Path) -> Result<Option<Self>> {
         let file = lock_file(path)?;
         match file.try_lock() {
             Ok(()) => Ok(Some(Self { _file: file })),

@@ -31,12 +31,12 @@ mod whole_runs;
 
 pub use change::Change;
 pub use decide::{Action, Decision, Options, Reason};
-pub use executor::{Shard, Slurm, SlurmSettings, active_jobs, cancel_jobs, shard_of};
+pub use executor::{Shard, ShardTask, Slurm, SlurmSettings, active_jobs, cancel_jobs, shard_of};
 pub use files::write_if_changed;
 pub use gc::{Unused, remove, unused};
 pub use graph::{Graph, Link, Node};
 pub use key::{Address, Key, OutsideFile, Parts, content_hash};
-pub use lock::{Lock, Owner};
+pub use lock::{Lease, Lock, Owner};
 pub use recipe::{Recipe, RecipeStage};
 pub use reporter::{Event, Reporter};
 pub use run::{Failure, Mode, Summary, compute_shard, files, output, outside_files, run};

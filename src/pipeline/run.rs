@@ -1,7 +1,7 @@
 //! Carries a plan out: stages that are ready run side by side; a failure stops what depends on it and nothing else.
 
 use super::decide::{Planner, Resolved};
-use super::executor::{Permits, Shard, ShardRun, Slurm, guarded};
+use super::executor::{Permits, ShardRun, ShardTask, Slurm, guarded};
 use super::files::remove_dir;
 use super::lock::{Agreement, Lease};
 use super::reporter::StageProgress;
@@ -415,10 +415,12 @@ fn task<'a>(
 pub fn compute_shard(
     site: &Site<'_>,
     graph: &Graph,
-    (stage, is_forced, shard): (&str, bool, Shard),
+    task: ShardTask,
     options: &Options,
     reporter: &dyn Reporter,
 ) -> Result<()> {
+    let ShardTask { stage, is_forced, shard } = task;
+    let stage = stage.as_str();
     let _lease = Lease::shared(&site.store().lease_path(), || reporter.event(&Event::Waits { stage, owner: None }))?;
     let planner = Planner::new(site, graph, options)?;
     let (_, resolved) = planner.plan()?;
@@ -436,7 +438,7 @@ pub fn compute_shard(
     let around =
         Surroundings { output_dir: scratch.path().to_path_buf(), permits: &permits, is_forced, progress: &progress };
     let own = ShardRun { shard, is_done: AtomicBool::new(false) };
-    let task = Task { shard: Some(&own), ..task(&planner, index, known, &resolved, around) };
+    let task = Task { shard: Some(&own), ..self::task(&planner, index, known, &resolved, around) };
     let ended = guarded(|| graph.nodes()[index].stage.run(&task));
     if own.is_done.load(Ordering::Relaxed) {
         return Ok(());

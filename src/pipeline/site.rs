@@ -1,7 +1,7 @@
 //! The folder of one site: which entries its stages used last, and copies of the files people look at.
 
 use super::files::{copy_if_changed, write_if_changed};
-use super::{Address, Graph, Node, Store, content_hash};
+use super::{Address, Graph, Lease, Node, Store, content_hash};
 use crate::error::{Context, Error, Result};
 use std::collections::BTreeMap;
 use std::fs;
@@ -36,6 +36,11 @@ impl Site<'_> {
     /// The cache it shares with other sites.
     pub fn store(&self) -> Store {
         Store::new(self.run_dir)
+    }
+
+    /// A share in the cache and the folders of sites, from which nothing is collected while there is one; none where they cannot be written.
+    pub fn lease(&self) -> Option<Lease> {
+        Lease::shared(&self.store().lease_path(), || ()).ok()
     }
 
     /// Settings as one word, and the file on which runs of a pipeline with these stages agree on them.

@@ -4,5 +4,5 @@ mod local;
 mod slurm;
 
 pub(super) use local::{Ensemble, Permits, ShardRun, guarded};
-pub use slurm::{Shard, Slurm, SlurmSettings, active_jobs, cancel_jobs, shard_of};
+pub use slurm::{Shard, ShardTask, Slurm, SlurmSettings, active_jobs, cancel_jobs, shard_of};
 pub(super) use slurm::{Submission, standing};

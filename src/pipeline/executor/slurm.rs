@@ -97,6 +97,17 @@ pub struct Shard {
     pub items: BTreeSet<String>,
 }
 
+/// A shard with what it is of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ShardTask {
+    /// Stage in the pipeline.
+    pub stage: String,
+    /// Whether items are computed though they are stored.
+    pub is_forced: bool,
+    /// Its items.
+    pub shard: Shard,
+}
+
 /// `shards.toml`: all shards of one submission.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct Shards {
@@ -127,16 +138,16 @@ pub fn cancel_jobs() {
     let _ = Command::new("scancel").args(active_jobs()).status();
 }
 
-/// The shard that task `index` of the submission in `folder` has to do, and the stage it is of.
+/// What task `index` of the submission in `folder` has to do.
 ///
 /// # Errors
 /// When there is no such submission or task.
-pub fn shard_of(folder: &Path, index: usize) -> Result<(String, bool, Shard)> {
+pub fn shard_of(folder: &Path, index: usize) -> Result<ShardTask> {
     let shards: Shards = read(&folder.join("shards.toml"))?;
     let Shards { stage, is_forced, shard } = shards;
     let found = shard.into_iter().nth(index);
-    let found = found.ok_or_else(|| Error::new(format!("`{}` has no shard {index}", folder.display())).usage())?;
-    Ok((stage, is_forced, found))
+    let shard = found.ok_or_else(|| Error::new(format!("`{}` has no shard {index}", folder.display())).usage())?;
+    Ok(ShardTask { stage, is_forced, shard })
 }
 
 /// How far a submission is, in words; none where there is none.
