@@ -352,10 +352,18 @@ impl Submission<'_> {
         }
     }
 
-    /// Whether any task of a job waits or runs.
+    /// Whether any task of a job waits or runs. Tasks that could not be launched are held until somebody lets them go: these are cancelled,
+    /// and submitted again with what else is missing.
     fn is_at_work(&self, job: &str) -> Result<bool> {
-        match said(Command::new("squeue").args(["--noheader", "--format=%i", "--jobs", job])) {
-            Ok(said) => Ok(!said.trim().is_empty()),
+        match said(Command::new("squeue").args(["--noheader", "--format=%i %r", "--jobs", job])) {
+            Ok(said) => {
+                let is_held = |line: &&str| line.to_lowercase().contains("held");
+                let held: Vec<&str> = said.lines().filter(is_held).collect();
+                for task in held.iter().filter_map(|line| line.split_whitespace().next()) {
+                    let _ = Command::new("scancel").arg(task).status();
+                }
+                Ok(said.lines().filter(|line| !line.trim().is_empty()).count() > held.len())
+            }
             // Jobs that ended are forgotten after some minutes.
             Err(error) if error.to_string().contains("Invalid job id") => Ok(false),
             Err(error) => Err(error),
