@@ -108,6 +108,9 @@ impl Ensemble<'_> {
             Some(submission) if jobs.len() > 1 => submission.compute(self, kind, &jobs)?,
             _ => self.compute_all(&jobs)?,
         };
+        if let Some(submission) = &self.submission {
+            submission.clear(self.store, addresses.iter())?;
+        }
         let record = |(item, address): (&Item, Address)| ItemRecord {
             id: item.id.clone(),
             failure: failures.get(&address).cloned(),

@@ -10,7 +10,8 @@
 
 use super::local::{Ensemble, Job};
 use crate::error::{Context, Error, Result};
-use crate::pipeline::{Address, State, write_if_changed};
+use crate::pipeline::files::remove_dir;
+use crate::pipeline::{Address, State, Store, write_if_changed};
 use crate::ranges::{Range, Ranged, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -214,10 +215,9 @@ impl Submission<'_> {
         let mut attempt = 0;
         let mut job = None;
         if let Some(Submitted { job: known, attempt: done }) = submitted {
-            if self.is_at_work(&known)? {
-                ensemble.progress.note(&format!("goes on with job {known}"));
-                (attempt, job) = (done, Some(known));
-            }
+            // Whether it is at work or over: what it has marked counts.
+            ensemble.progress.note(&format!("goes on with job {known}"));
+            (attempt, job) = (done, Some(known));
         } else {
             // Marks of a submission that nobody remembers say nothing.
             open.values().try_for_each(|path| removed(path))?;
@@ -248,11 +248,16 @@ impl Submission<'_> {
                     .warn(&format!("job {own} ended without {} items, which are submitted again", open.len()));
             }
         }
-        for job in jobs {
-            removed(&ensemble.store.mark_path(&job.address))?;
-        }
-        fs::remove_dir_all(&self.folder).context(|| format!("cannot remove `{}`", self.folder.display()))?;
         Ok(failures)
+    }
+
+    /// Removes what a submission leaves beside the `items` of an ensemble that is whole, whoever waited for it.
+    pub(super) fn clear<'i>(&self, store: &Store, mut items: impl Iterator<Item = &'i Address>) -> Result<()> {
+        if !self.folder.is_dir() {
+            return Ok(());
+        }
+        items.try_for_each(|address| removed(&store.mark_path(address)))?;
+        remove_dir(&self.folder)
     }
 
     /// Submits what is `open`; the number of the job.
