@@ -3,9 +3,11 @@
 use super::parameters::Leaves;
 use crate::error::{Context, Result};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{LazyLock, Mutex, PoisonError};
+use std::time::SystemTime;
 
 /// Hash of [`Parts`], 32 hexadecimal digits.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -138,10 +140,27 @@ pub fn content_hash(bytes: &[u8]) -> String {
 
 /// BLAKE3 of a file's content, hexadecimal.
 pub(super) fn file_hash(path: &Path) -> Result<String> {
-    let file = crate::atomic::open(path).context(|| format!("cannot read `{}`", path.display()))?;
+    let what = || format!("cannot read `{}`", path.display());
     let mut hash = blake3::Hasher::new();
-    hash.update_reader(file).context(|| format!("cannot read `{}`", path.display()))?;
+    hash.update_reader(crate::atomic::open(path).context(what)?).context(what)?;
     Ok(hash.finalize().to_hex().to_string())
+}
+
+/// The same of a stored file: one that this process has read before, and that has not been written since, is not read again.
+pub(super) fn stored_hash(path: &Path) -> Result<String> {
+    /// When a file was written, its size, and the hash of what it held then.
+    type Known = HashMap<PathBuf, (SystemTime, u64, String)>;
+    static KNOWN: LazyLock<Mutex<Known>> = LazyLock::new(Mutex::default);
+    let what = || format!("cannot read `{}`", path.display());
+    let known = || KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    let found = std::fs::metadata(path).context(what)?;
+    let written = found.modified().context(what)?;
+    if let Some((_, _, hash)) = known().get(path).filter(|known| (known.0, known.1) == (written, found.len())) {
+        return Ok(hash.clone());
+    }
+    let hash = file_hash(path)?;
+    known().insert(path.to_path_buf(), (written, found.len(), hash.clone()));
+    Ok(hash)
 }
 
 #[cfg(test)]

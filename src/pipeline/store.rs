@@ -5,7 +5,7 @@
 //! entry. Entries are built in `<key>.partial` beside and renamed when everything is on the disk.
 
 use super::files::{list, remove_dir, sync_dir, sync_tree};
-use super::key::{Address, Parts, content_hash, file_hash};
+use super::key::{Address, Parts, content_hash, file_hash, stored_hash};
 use super::lock::{Lease, Owner};
 use crate::error::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
@@ -231,7 +231,7 @@ impl Store {
             if bytes != file.bytes {
                 return Err(format!("`{}` has {bytes} bytes instead of {}", file.name, file.bytes));
             }
-            if by_content && file_hash(&path).ok().as_deref() != Some(file.blake3.as_str()) {
+            if by_content && stored_hash(&path).ok().as_deref() != Some(file.blake3.as_str()) {
                 return Err(format!("`{}` has other content than was written", file.name));
             }
         }
