@@ -3,41 +3,21 @@
 //! Here in small; `FAULTS=12 cargo test --release --test faults -- --nocapture --test-threads 1` repeats everything twelve times as often
 //! and prints what was tried.
 
+#[path = "support/small_site.rs"]
+mod small_site;
+#[path = "support/tree.rs"]
+mod tree;
+
+use small_site::SMALL;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::Duration;
+use tree::files;
 
-/// A small site that runs through every stage of FLARE-T in a second.
-const SMALL: &[&str] = &[
-    "configs/smoke.toml",
-    "--pipeline",
-    "flare-t",
-    "--set",
-    "site.elements=10",
-    "--set",
-    "pretrain.channels=8",
-    "--set",
-    "motions.count=6",
-    "--set",
-    "motions.bands=[{ count = 6, min_pga_g = 0.01, max_pga_g = 0.1 }]",
-    "--set",
-    "motions.train='1-4'",
-    "--set",
-    "motions.validation='5-6'",
-    "--set",
-    "pretrain.epochs=10",
-    "--set",
-    "pretrain.polish_every=10",
-    "--set",
-    "distill.epochs=4",
-    "--set",
-    "calibrate.epochs=4",
-    "--set",
-    "calibrate.solver=adam",
-];
+const SITE: &str = "configs/smoke.toml";
 
 /// Stages whose output is computed again under faults.
 const STAGES: [&str; 7] = ["motions", "simulate", "dataset", "pretrain", "distill", "calibrate", "evaluate"];
@@ -64,7 +44,7 @@ fn command(words: &[&str], run_dir: &Path) -> Command {
 }
 
 fn run(run_dir: &Path, more: &[&str]) -> Command {
-    command(&[&["run"], SMALL, more].concat(), run_dir)
+    command(&[&["run", SITE], SMALL, more].concat(), run_dir)
 }
 
 fn said(command: &mut Command) -> (Option<i32>, String) {
@@ -77,24 +57,6 @@ fn runs(run_dir: &Path, more: &[&str]) -> String {
     let (status, stderr) = said(&mut run(run_dir, more));
     assert_eq!(status, Some(0), "{more:?}: {stderr}");
     stderr
-}
-
-/// Every file below `dir` by its relative name.
-fn files(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    fn walk(dir: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
-        for entry in fs::read_dir(dir).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                walk(&path, root, found);
-            } else {
-                let name = path.strip_prefix(root).expect("below").to_path_buf();
-                found.insert(name, fs::read(&path).expect("readable"));
-            }
-        }
-    }
-    let mut found = BTreeMap::new();
-    walk(dir, dir, &mut found);
-    found
 }
 
 /// The same without what tells of the time.
@@ -296,9 +258,9 @@ fn damaged_files_are_used_by_nobody_and_are_mended() {
                     all.iter().filter(|(n, _)| **n != own).map(|(n, b)| (n.clone(), b.clone())).collect()
                 };
                 assert_same(&others(&found), &others(&expected), &what);
-                let (status, text) = said(&mut command(&[&["verify"], SMALL].concat(), &runs_dir));
+                let (status, text) = said(&mut command(&[&["verify", SITE], SMALL].concat(), &runs_dir));
                 assert_eq!(status, Some(1), "{what}: {text}");
-                let (status, text) = said(&mut command(&[&["verify"], SMALL, &["--repair"]].concat(), &runs_dir));
+                let (status, text) = said(&mut command(&[&["verify", SITE], SMALL, &["--repair"]].concat(), &runs_dir));
                 assert_eq!(status, Some(0), "{what}: {text}");
                 assert_same(&lasting(&runs_dir), &expected, &what);
             }
@@ -417,7 +379,7 @@ fn messages_that_nobody_takes_stop_nothing() {
     let status = run(&runs_dir, &["--json"]).stdout(full()).stderr(Stdio::null()).status();
     assert_eq!(status.expect("starts").code(), Some(1), "its data cannot be written");
     for words in [&["status"][..], &["plan"], &["verify"]] {
-        let mut child = command(&[words, SMALL].concat(), &runs_dir)
+        let mut child = command(&[words, &[SITE], SMALL].concat(), &runs_dir)
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()

@@ -1,37 +1,13 @@
 //! Many sites, and one site under many settings: one cache, a table and a page of all, and a failure that stops no other.
 
+#[path = "support/small_site.rs"]
+mod small_site;
+
+use small_site::SMALL;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Stdio};
-
-/// Settings with which the small site runs through every stage of FLARE-T in a second.
-const SMALL: &[&str] = &[
-    "--pipeline",
-    "flare-t",
-    "--set",
-    "site.elements=10",
-    "--set",
-    "pretrain.channels=8",
-    "--set",
-    "motions.count=4",
-    "--set",
-    "motions.bands=[{ count = 4, min_pga_g = 0.01, max_pga_g = 0.1 }]",
-    "--set",
-    "motions.train='1-3'",
-    "--set",
-    "motions.validation='4'",
-    "--set",
-    "pretrain.epochs=4",
-    "--set",
-    "pretrain.polish_every=4",
-    "--set",
-    "distill.epochs=2",
-    "--set",
-    "calibrate.epochs=2",
-    "--set",
-    "calibrate.solver=adam",
-];
 
 fn said(words: &[&str], run_dir: &Path) -> (i32, String, String) {
     let mut command = Command::new(env!("CARGO_BIN_EXE_flare-pipe"));

@@ -2,11 +2,15 @@
 //!
 //! `tests/slurm/start` installs and starts it; where it cannot, the tests say so and end.
 
+#[path = "support/tree.rs"]
+mod tree;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
+use tree::files;
 
 /// Eight motions that take long enough to be killed under, two to a shard.
 const SITE: &[&str] = &[
@@ -27,9 +31,9 @@ const SITE: &[&str] = &[
     "--set",
     "motions.duration_s=20",
     "--set",
-    "analysis.max_step_s=0.0005",
+    "analysis.max_step_s=0.0002",
     "--set",
-    "analysis.initial_step_s=0.0005",
+    "analysis.initial_step_s=0.0002",
     "--set",
     "executor.slurm.shard_items=2",
 ];
@@ -90,19 +94,9 @@ impl Drop for Cluster {
 
 /// Every file below `dir` that does not tell of the time.
 fn lasting(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    fn walk(dir: &Path, root: &Path, found: &mut BTreeMap<PathBuf, Vec<u8>>) {
-        for entry in fs::read_dir(dir).expect("a folder") {
-            let path = entry.expect("an entry").path();
-            if path.is_dir() {
-                walk(&path, root, found);
-            } else if !path.ends_with("timing.toml") && !path.ends_with("log.txt") {
-                found.insert(path.strip_prefix(root).expect("below").into(), fs::read(&path).expect("readable"));
-            }
-        }
-    }
-    let mut found = BTreeMap::new();
-    walk(dir, dir, &mut found);
-    found
+    let mut all = files(dir);
+    all.retain(|name, _| !name.ends_with("timing.toml") && !name.ends_with("log.txt"));
+    all
 }
 
 /// Waits until `is_so`; false after a minute.
@@ -124,8 +118,9 @@ fn shards(run_dir: &Path) -> Vec<String> {
     String::from_utf8_lossy(&output.stdout).lines().map(String::from).collect()
 }
 
-fn kill(pid: &str) {
-    assert!(Command::new("kill").args(["-9", pid]).status().expect("`kill` starts").success());
+/// Kills a process; false where it has ended by itself.
+fn kill(pid: &str) -> bool {
+    Command::new("kill").args(["-9", pid]).status().expect("`kill` starts").success()
 }
 
 /// Waits for a run; its exit status and messages.
@@ -157,18 +152,18 @@ fn what_is_killed_on_a_cluster_changes_no_byte() {
             std::thread::sleep(Duration::from_millis(300));
         }
         match what {
-            "a task" => shards(&run_dir).first().into_iter().for_each(|pid| kill(pid)),
+            "a task" => assert!(soon(|| shards(&run_dir).iter().any(|pid| kill(pid))), "no shard was killed"),
             "a node" => {
                 // The daemon and what computes for it.
-                kill(&cluster.pid("slurmd.n1"));
+                assert!(kill(&cluster.pid("slurmd.n1")));
                 let tasks = cluster.said("squeue", &["--noheader", "--nodelist=n1", "--states=R", "--format=%i"]);
                 println!("  tasks on the node: {}", tasks.split_whitespace().count());
-                shards(&run_dir).iter().for_each(|pid| kill(pid));
+                shards(&run_dir).iter().for_each(|pid| _ = kill(pid));
                 std::thread::sleep(Duration::from_secs(2));
                 assert!(cluster.command("slurmd").args(["-N", "n1"]).status().expect("it starts").success());
             }
             "the controller" => {
-                kill(&cluster.pid("slurmctld"));
+                assert!(kill(&cluster.pid("slurmctld")));
                 std::thread::sleep(Duration::from_secs(3));
                 assert!(cluster.command("slurmctld").status().expect("it starts").success());
             }

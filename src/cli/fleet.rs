@@ -17,7 +17,6 @@ use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 /// Most combinations of one sweep.
 const MOST: usize = 10_000;
@@ -198,27 +197,14 @@ fn run_all(members: Vec<Member>, shared: &Shared, folder: &Path, title: &str, js
     log_to(folder.join("log.txt"));
     let count = jobs.min(members.len()).max(1);
     let runner = Runner { executor: &shared.executor, jobs: jobs.div_ceil(count), folder };
-    let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    let rows: Mutex<Vec<Option<FleetRow>>> = Mutex::new(members.iter().map(|_| None).collect());
-    let work = || {
-        while let Some((i, member)) =
-            Some(next.fetch_add(1, Ordering::Relaxed)).and_then(|i| Some((i, members.get(i)?)))
-        {
-            let row = runner.ran(member);
-            let number = done.fetch_add(1, Ordering::Relaxed) + 1;
-            let outcome =
-                row.error.as_deref().and_then(|e| e.lines().next()).or(row.verdict.as_deref()).unwrap_or("done");
-            say!("[{number:3}/{}] {}: {outcome}, {}", members.len(), row.label, clock(row.stages_s));
-            rows.lock().unwrap_or_else(PoisonError::into_inner)[i] = Some(row);
-        }
-    };
-    let available = threads::available();
-    std::thread::scope(|scope| {
-        for _ in 0..count {
-            scope.spawn(|| threads::sharing(available, count, work));
-        }
+    let done = AtomicUsize::new(0);
+    let rows: Vec<FleetRow> = threads::on_threads(members.len(), |i| {
+        let row = runner.ran(&members[i]);
+        let number = done.fetch_add(1, Ordering::Relaxed) + 1;
+        let outcome = row.error.as_deref().and_then(|e| e.lines().next()).or(row.verdict.as_deref()).unwrap_or("done");
+        say!("[{number:3}/{}] {}: {outcome}, {}", members.len(), row.label, clock(row.stages_s));
+        row
     });
-    let rows: Vec<FleetRow> = rows.into_inner().unwrap_or_else(PoisonError::into_inner).into_iter().flatten().collect();
     let table = fleet_csv(&rows).context(|| "the table cannot be written".into())?;
     write_if_changed(&folder.join("fleet.csv"), &table)?;
     write_if_changed(&folder.join("fleet.html"), fleet_page(title, &rows).as_bytes())?;
@@ -305,7 +291,14 @@ impl Runner<'_> {
         let verdict = found["verdict"].as_str().map(String::from);
         let answer = found["answer"].as_array().into_iter().flatten();
         let answer: Vec<String> = answer.filter_map(|line| Some(line.as_str()?.to_string())).collect();
-        Ok(FleetRow { attention: attention(&found), verdict, answer, numbers, report, ..row })
+        Ok(FleetRow {
+            attention: attention(&found, workspace.manifest.site.tolerances.model),
+            verdict,
+            answer,
+            numbers,
+            report,
+            ..row
+        })
     }
 }
 
@@ -320,16 +313,14 @@ fn flattened(place: &str, value: &Value, into: &mut BTreeMap<String, f64>) {
     }
 }
 
-/// What of an answer asks for a look, the weightiest first.
-fn attention(found: &Value) -> Vec<String> {
+/// What of an answer asks for a look, the weightiest first; `model` is the error that is declared of the column, a share.
+fn attention(found: &Value, model: f64) -> Vec<String> {
     let median = |model: &str| found["summary"]["test_median_nrmse_percent"][model].as_f64();
     let verdict = found["verdict"].as_str().unwrap_or_default();
     let ended = found["declared"].as_array().into_iter().flatten();
     let ended = ended.filter(|value| value["is_at_end"] == true).count();
     let is_worse = median("corrected").zip(median("declared")).is_some_and(|(after, before)| after > before);
-    let not_converged = found["notes"].as_array().into_iter().flatten();
-    let not_converged =
-        not_converged.filter_map(Value::as_str).any(|note| note.starts_with("Strong motion is not converged"));
+    let not_converged = found["discretisation_share"].as_f64().is_some_and(|share| share > model);
     [
         (verdict == "unknown").then(|| "something is there that has no name".to_string()),
         (verdict == "ambiguous").then(|| "several effects explain it alike".to_string()),

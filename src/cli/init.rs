@@ -48,7 +48,11 @@ pub struct InitArguments {
 /// When profile or records cannot be read, the depths of sensors are not known, or the manifest is there already.
 pub fn init(arguments: &InitArguments, as_json: bool) -> Result<()> {
     if !manifest::is_site_name(&arguments.name) {
-        let what = format!("a site is named by 1…100 lower-case letters, digits and hyphens, got `{}`", arguments.name);
+        let what = format!(
+            "a site is named by 1…{} lower-case letters, digits and hyphens, got `{}`",
+            manifest::LONGEST_NAME,
+            arguments.name
+        );
         return Err(Error::new(what).hint("it names the manifest and the run folder: `lotung`, `fksh11-ns`").usage());
     }
     let path = arguments.output.clone().unwrap_or_else(|| PathBuf::from(format!("{}.toml", arguments.name)));

@@ -189,13 +189,19 @@ impl<'a> Forward<'a> {
         Ok(found)
     }
 
+    /// Which events of the problem `groups` are made of.
+    fn events_of(&self, groups: &[Group]) -> Vec<bool> {
+        let mut is_theirs = vec![false; self.problem.events.len()];
+        groups.iter().flat_map(|g| &g.records).for_each(|r| is_theirs[r.event] = true);
+        is_theirs
+    }
+
     /// The rough replay of its own events.
     fn rough(&self, shaken: &[Table]) -> Result<Motions> {
         if self.stands_for.iter().all(|n| *n == 1.0) {
             return self.replay.replay_roughly(shaken);
         }
-        let mut is_wanted = vec![false; self.problem.events.len()];
-        self.groups.iter().flat_map(|g| &g.records).for_each(|r| is_wanted[r.event] = true);
+        let is_wanted = self.events_of(&self.groups);
         self.replay.replay_some_roughly(shaken, &is_wanted)
     }
 
@@ -238,8 +244,7 @@ impl<'a> Forward<'a> {
     /// None where there are none smaller, or where the column does not finish with them.
     pub fn discretisation_share(&self, tables: &[Table]) -> Option<f64> {
         let group = strongest(self);
-        let mut is_wanted = vec![false; self.problem.events.len()];
-        self.groups[group].records.iter().for_each(|r| is_wanted[r.event] = true);
+        let is_wanted = self.events_of(&self.groups[group..=group]);
         let [whole, halved] = self.replay.replay_in_halves(&self.shaken(tables), &is_wanted).ok()??;
         let n_sensor = self.names.len() - 1;
         let mut sums = vec![[0.0; 2]; n_sensor];

@@ -86,7 +86,7 @@ fn from_error(key: String, error: &crate::Error) -> Problem {
 }
 
 /// Longest name of a site: files are named by it, and a name of a file has 255 bytes at the most.
-const LONGEST_NAME: usize = 100;
+pub const LONGEST_NAME: usize = 100;
 
 /// Whether `name` may be that of a site: some lower-case letters, digits and hyphens.
 pub fn is_site_name(name: &str) -> bool {

@@ -12,7 +12,7 @@ mod sections;
 pub mod strata;
 mod table;
 
-pub use check::is_site_name;
+pub use check::{LONGEST_NAME, is_site_name};
 pub use document::{Document, Problem};
 pub use draft::{Draft, DraftRecords};
 pub use schema::schema;

@@ -79,6 +79,19 @@ pub(super) fn list(dir: &Path) -> std::io::Result<Vec<String>> {
     Ok(names)
 }
 
+/// Removes a file if there is one.
+pub(super) fn remove_file(path: &Path) -> Result<()> {
+    if !path.is_file() {
+        return Ok(());
+    }
+    match fs::remove_file(path) {
+        Err(e) if e.kind() != std::io::ErrorKind::NotFound => {
+            Err(e).context(|| format!("cannot remove `{}`", path.display()))
+        }
+        _ => Ok(()),
+    }
+}
+
 /// Removes a folder and all in it; absent is fine.
 pub(super) fn remove_dir(dir: &Path) -> Result<()> {
     match fs::remove_dir_all(dir) {

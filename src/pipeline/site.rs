@@ -1,6 +1,6 @@
 //! The folder of one site: which entries its stages used last, and copies of the files people look at.
 
-use super::files::{copy_if_changed, write_if_changed};
+use super::files::{copy_if_changed, remove_file, write_if_changed};
 use super::{Address, Graph, Lease, Node, Store, content_hash};
 use crate::error::{Context, Error, Result};
 use std::collections::BTreeMap;
@@ -93,14 +93,6 @@ impl Site<'_> {
         }
         Ok(())
     }
-}
-
-/// Removes a file if there is one.
-fn remove_file(path: &Path) -> Result<()> {
-    if path.is_file() {
-        fs::remove_file(path).context(|| format!("cannot remove `{}`", path.display()))?;
-    }
-    Ok(())
 }
 
 /// `last.toml`: stage → address of the entry it used last. Explains reruns and keeps entries from being collected.

@@ -10,7 +10,7 @@
 
 use super::local::{Ensemble, Job};
 use crate::error::{Context, Error, Result};
-use crate::pipeline::files::remove_dir;
+use crate::pipeline::files::{remove_dir, remove_file};
 use crate::pipeline::{Address, State, Store, write_if_changed};
 use crate::ranges::{Range, Ranged, range};
 use schemars::JsonSchema;
@@ -220,7 +220,7 @@ impl Submission<'_> {
             (attempt, job) = (done, Some(known));
         } else {
             // Marks of a submission that nobody remembers say nothing.
-            open.values().try_for_each(|path| removed(path))?;
+            open.values().try_for_each(|path| remove_file(path))?;
         }
         loop {
             let own = match job.take() {
@@ -230,7 +230,7 @@ impl Submission<'_> {
                     let what =
                         format!("{} of {} items were not computed in {attempt} attempts", open.len(), jobs.len());
                     let hint = format!("logs are in `{}`; run again for further attempts", self.folder.display());
-                    removed(&self.folder.join("job.toml"))?;
+                    remove_file(&self.folder.join("job.toml"))?;
                     return Err(Error::new(what).cause(self.last_words()).hint(hint));
                 }
                 None => {
@@ -256,7 +256,7 @@ impl Submission<'_> {
         if !self.folder.is_dir() {
             return Ok(());
         }
-        items.try_for_each(|address| removed(&store.mark_path(address)))?;
+        items.try_for_each(|address| remove_file(&store.mark_path(address)))?;
         remove_dir(&self.folder)
     }
 
@@ -386,15 +386,6 @@ impl Submission<'_> {
             [] => "no shard wrote a word".into(),
             lines => lines[lines.len().saturating_sub(5)..].join("\n"),
         }
-    }
-}
-
-fn removed(path: &Path) -> Result<()> {
-    match fs::remove_file(path) {
-        Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            Err(error).context(|| format!("cannot remove `{}`", path.display()))
-        }
-        _ => Ok(()),
     }
 }
 
