@@ -4,7 +4,7 @@ use super::SiteArguments;
 use super::output::{data, write_json};
 use super::workspace::Workspace;
 use crate::error::{Error, Result};
-use crate::pipeline;
+use crate::pipeline::Results;
 use crate::stages::{Closed, export as write};
 use clap::Args;
 use std::path::PathBuf;
@@ -27,7 +27,8 @@ pub struct ExportArguments {
 pub fn export(arguments: &ExportArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     let site = workspace.site();
-    let folder = |stage: &str| pipeline::output(&site, &workspace.graph, stage);
+    let results = Results::of(&site, &workspace.graph)?;
+    let folder = |stage: &str| results.output(stage);
     let sections = &workspace.manifest.site;
     let settings = sections.records.clone().ok_or_else(|| {
         Error::new("the manifest has no `[records]`")

@@ -10,7 +10,7 @@ use super::signals::goes_on_when_run_again;
 use super::workspace::{Workspace, project_root};
 use crate::error::{Context, Error, Result};
 use crate::numerics::threads;
-use crate::pipeline::{self, Event, Mode, Options, Reporter, write_if_changed};
+use crate::pipeline::{self, Event, Mode, Options, Reporter, Results, write_if_changed};
 use crate::report::{FleetRow, fleet_csv, fleet_page};
 use clap::Args;
 use serde_json::Value;
@@ -262,15 +262,17 @@ impl Runner<'_> {
         let slurm = self.executor.of(&workspace, || shard::command(&["shard"], &member.arguments, &[]))?;
         let options = Options { jobs: self.jobs, slurm, ..Options::default() };
         let summary = pipeline::run(&site, graph, &options, Mode::Run, &reporter)?;
-        publish::publish(&workspace)?;
-        let stages = pipeline::status(&site, graph)?;
+        let _lease = site.lease();
+        let results = Results::of(&site, graph)?;
+        publish::publish(&workspace, &results)?;
+        let stages = results.status();
         let row = FleetRow {
             stages_s: stages.iter().filter_map(|s| s.seconds).sum(),
             computed: summary.computed.len(),
             ..row
         };
         if let Some(failure) = summary.failures.into_iter().next() {
-            publish::set_aside(&workspace)?;
+            publish::set_aside(&workspace, &results)?;
             return Ok(FleetRow { error: Some(failure.error.to_string()), ..row });
         }
         let read = |name: &str| -> Value {

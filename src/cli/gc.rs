@@ -5,7 +5,7 @@ use super::output::{data, say, write_json};
 use super::reporter::clock;
 use super::workspace::{Workspace, results_folder};
 use crate::error::{Context, Error, Result};
-use crate::pipeline::{self, Address, Unused};
+use crate::pipeline::{self, Address, Results, Unused};
 use crate::stages::STAGES;
 use clap::Args;
 use serde_json::json;
@@ -109,7 +109,8 @@ fn needed(root: &Path, run_dir: &Path) -> Result<Needed> {
         if !workspace.site().dir().is_dir() {
             continue;
         }
-        let stages = pipeline::status(&workspace.site(), &workspace.graph).map_err(|e| e.at(format!("`{place}`")))?;
+        let site = workspace.site();
+        let stages = Results::of(&site, &workspace.graph).map_err(|e| e.at(format!("`{place}`")))?.status();
         needed.is_unfinished |= stages.iter().any(|stage| stage.state != "cached");
         needed.entries.extend(stages.into_iter().filter_map(|stage| stage.entry));
     }

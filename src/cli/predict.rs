@@ -7,7 +7,7 @@ use crate::atomic;
 use crate::dataset::{Header, Sample, TrajectoryWriter};
 use crate::error::{Error, Result};
 use crate::numerics::resample::{half_steps, resample_band_limited};
-use crate::pipeline;
+use crate::pipeline::Results;
 use crate::records::csv as csv_records;
 use crate::stages::predict::Predictor;
 use crate::units::AccelerationUnit;
@@ -48,7 +48,8 @@ pub fn predict(arguments: &PredictArguments, json: bool) -> Result<()> {
     }
     let workspace = Workspace::open(&arguments.site)?;
     let site = workspace.site();
-    let folder = |stage: &str| pipeline::output(&site, &workspace.graph, stage);
+    let results = Results::of(&site, &workspace.graph)?;
+    let folder = |stage: &str| results.output(stage);
     let calibration = folder(&format!("calibrate.{}", arguments.component))?;
     let model = Predictor::load(&folder("dataset")?, &folder("pretrain")?, &folder("distill")?, &calibration)?;
     let sections = &workspace.manifest.site;

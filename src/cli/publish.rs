@@ -3,7 +3,7 @@
 use super::output::say;
 use super::workspace::Workspace;
 use crate::error::{Context, Result};
-use crate::pipeline::{self, Node, StageStatus, write_if_changed};
+use crate::pipeline::{Node, Results, StageStatus, write_if_changed};
 use crate::report::{ExecutedStage, Execution, executed};
 use crate::stages::correct;
 use serde_json::{Map, Value, json};
@@ -19,26 +19,24 @@ const CORRECTED: &str = "site.corrected.toml";
 ///
 /// # Errors
 /// When an output cannot be read or a file not be written.
-pub fn publish(workspace: &Workspace) -> Result<()> {
-    let (site, graph) = (workspace.site(), &workspace.graph);
-    let _lease = site.lease();
-    if let Ok(folder) = pipeline::output(&site, graph, "report") {
-        let stages = pipeline::status(&site, graph)?;
+pub fn publish(workspace: &Workspace, results: &Results<'_>) -> Result<()> {
+    if let Ok(folder) = results.output("report") {
+        let stages = results.status();
         metrics(workspace, &folder, &stages)?;
-        report(workspace, &folder, stages)?;
-        [PAGE, METRICS].into_iter().try_for_each(|name| site.supersede(name))?;
+        report(workspace, results, &folder, stages)?;
+        [PAGE, METRICS].into_iter().try_for_each(|name| workspace.site().supersede(name))?;
     }
-    correction(workspace)
+    correction(workspace, results)
 }
 
 /// Moves what is not up to date of it aside, after a run that failed.
 ///
 /// # Errors
 /// When a file cannot be moved.
-pub fn set_aside(workspace: &Workspace) -> Result<()> {
-    let (site, graph) = (workspace.site(), &workspace.graph);
+pub fn set_aside(workspace: &Workspace, results: &Results<'_>) -> Result<()> {
+    let site = workspace.site();
     for (stage, name) in [("report", PAGE), ("report", METRICS), ("correct", CORRECTED)] {
-        if pipeline::output(&site, graph, stage).is_err() && site.set_aside(name)? {
+        if results.output(stage).is_err() && site.set_aside(name)? {
             say!("`{name}` of an earlier run moved to `earlier`");
         }
     }
@@ -47,9 +45,9 @@ pub fn set_aside(workspace: &Workspace) -> Result<()> {
 
 /// `site.corrected.toml`: the manifest with the sections that the stage `correct` wrote, a site of its own that runs by
 /// itself; gone where nothing was corrected.
-fn correction(workspace: &Workspace) -> Result<()> {
+fn correction(workspace: &Workspace, results: &Results<'_>) -> Result<()> {
     let site = workspace.site();
-    let Ok(folder) = pipeline::output(&site, &workspace.graph, "correct") else { return Ok(()) };
+    let Ok(folder) = results.output("correct") else { return Ok(()) };
     let path = folder.join(correct::FILE);
     let text = std::fs::read_to_string(&path).context(|| format!("cannot read `{}`", path.display()))?;
     let sections: toml::Table = toml::from_str(&text).context(|| format!("`{}` is no TOML", path.display()))?;
@@ -79,8 +77,8 @@ pub fn is_page(node: &Node, name: &str) -> bool {
 }
 
 /// `report.html`: what the report stage wrote, and how the results in it were computed.
-fn report(workspace: &Workspace, folder: &Path, stages: Vec<StageStatus>) -> Result<()> {
-    let (site, graph) = (workspace.site(), &workspace.graph);
+fn report(workspace: &Workspace, results: &Results<'_>, folder: &Path, stages: Vec<StageStatus>) -> Result<()> {
+    let site = workspace.site();
     let path = folder.join(PAGE);
     let page = std::fs::read_to_string(&path).context(|| format!("cannot read `{}`", path.display()))?;
     let stage = |s: StageStatus| {
@@ -91,7 +89,7 @@ fn report(workspace: &Workspace, folder: &Path, stages: Vec<StageStatus>) -> Res
             stage: s.stage,
         })
     };
-    let files = pipeline::outside_files(&site, graph, "records").unwrap_or_default();
+    let files = results.outside_files("records").unwrap_or_default();
     let execution = Execution {
         command: std::env::args().collect::<Vec<_>>().join(" "),
         commit: commit(site.manifest_dir),

@@ -6,7 +6,7 @@ use super::publish::publish;
 use super::reporter::{Terminal, Verbosity};
 use super::workspace::Workspace;
 use crate::error::Result;
-use crate::pipeline::{self, Mode, Options};
+use crate::pipeline::{self, Mode, Options, Results};
 use serde_json::json;
 
 /// Rebuilds the report; everything it needs must be stored.
@@ -22,7 +22,8 @@ pub fn report(arguments: &SiteArguments, json: bool) -> Result<()> {
     if let Some(failure) = summary.failures.into_iter().next() {
         return Err(failure.error);
     }
-    publish(&workspace)?;
+    let _lease = site.lease();
+    publish(&workspace, &Results::of(&site, &workspace.graph)?)?;
     let path = site.dir().join("report.html");
     if json { write_json(&json!({ "report": path })) } else { data!("{}", path.display()) }
 }

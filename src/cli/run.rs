@@ -10,7 +10,7 @@ use super::shard::{self, ExecutorArgument};
 use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
 use crate::error::Result;
-use crate::pipeline::{self, Action, Mode, Node, Options, Summary};
+use crate::pipeline::{self, Action, Mode, Node, Options, Results, Summary};
 use crate::progress::Quiet;
 use clap::Args;
 use serde_json::{Map, Value, json};
@@ -81,12 +81,12 @@ struct Answer {
 }
 
 impl Answer {
-    fn of(workspace: &Workspace) -> Self {
+    fn of(workspace: &Workspace, results: &Results<'_>) -> Self {
         let (site, graph) = (workspace.site(), &workspace.graph);
         let is_current = |name: &str| {
             let is_publisher = |n: &&Node| n.publishes.iter().any(|(_, p)| p == name) || publish::is_page(n, name);
             let publisher = graph.nodes().iter().find(is_publisher);
-            publisher.is_some_and(|node| pipeline::output(&site, graph, &node.name).is_ok())
+            publisher.is_some_and(|node| results.output(&node.name).is_ok())
         };
         let current = ANSWERS.into_iter().filter(|(_, name)| is_current(name));
         let files: Vec<(&str, PathBuf)> = current.map(|(what, name)| (what, site.dir().join(name))).collect();
@@ -116,11 +116,15 @@ pub fn run(arguments: &RunArguments, json: bool) -> Result<()> {
     let terminal = Terminal::new(arguments.verbosity());
     let start = std::time::Instant::now();
     let mut summary = pipeline::run(&site, &workspace.graph, &options, Mode::Run, &terminal)?;
-    publish(&workspace)?;
-    if !summary.failures.is_empty() {
-        publish::set_aside(&workspace)?;
-    }
-    let answer = Answer::of(&workspace);
+    let answer = {
+        let _lease = site.lease();
+        let results = Results::of(&site, &workspace.graph)?;
+        publish(&workspace, &results)?;
+        if !summary.failures.is_empty() {
+            publish::set_aside(&workspace, &results)?;
+        }
+        Answer::of(&workspace, &results)
+    };
     if json {
         print_json(&summary, Some(&answer))?;
     }

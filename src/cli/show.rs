@@ -6,7 +6,7 @@ use super::output::{data, write_json};
 use super::workspace::Workspace;
 use crate::error::{Error, Result};
 use crate::flare::{Calibration, SourceModel};
-use crate::pipeline;
+use crate::pipeline::Results;
 use clap::{Args, Subcommand};
 use serde_json::json;
 
@@ -59,7 +59,7 @@ pub fn show(arguments: &ShowArguments, json: bool) -> Result<()> {
 /// Prints one path a line.
 fn files(arguments: &FilesArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
-    let files = pipeline::files(&workspace.site(), &workspace.graph, &arguments.stage)?;
+    let files = Results::of(&workspace.site(), &workspace.graph)?.files(&arguments.stage)?;
     if json {
         return write_json(&files);
     }
@@ -70,7 +70,8 @@ fn files(arguments: &FilesArguments, json: bool) -> Result<()> {
 fn model(arguments: &ModelArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(&arguments.site)?;
     let site = workspace.site();
-    let (model, _) = SourceModel::load(&pipeline::output(&site, &workspace.graph, "pretrain")?)?;
+    let results = Results::of(&site, &workspace.graph)?;
+    let (model, _) = SourceModel::load(&results.output("pretrain")?)?;
     let n_term = model.shape.library().n_coefficient();
     let mut all = Vec::new();
     let kept = model.mask.iter().filter(|k| **k).count();
@@ -88,7 +89,7 @@ fn model(arguments: &ModelArguments, json: bool) -> Result<()> {
             continue;
         }
         is_found = true;
-        let folder = match pipeline::output(&site, &workspace.graph, &node.name) {
+        let folder = match results.output(&node.name) {
             Ok(folder) => folder,
             Err(error) if arguments.component.is_some() => return Err(error),
             Err(_) if json => continue,

@@ -4,7 +4,7 @@ use super::SiteArguments;
 use super::output::{data, write_json};
 use super::workspace::Workspace;
 use crate::error::Result;
-use crate::pipeline;
+use crate::pipeline::Results;
 
 /// Prints state, key, time and size of each stage.
 ///
@@ -12,7 +12,7 @@ use crate::pipeline;
 /// Usage errors; outside files that cannot be read.
 pub fn status(arguments: &SiteArguments, json: bool) -> Result<()> {
     let workspace = Workspace::open(arguments)?;
-    let stages = pipeline::status(&workspace.site(), &workspace.graph)?;
+    let stages = Results::of(&workspace.site(), &workspace.graph)?.status();
     if json {
         return write_json(&stages);
     }

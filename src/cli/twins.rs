@@ -8,7 +8,7 @@ use super::shard::{self, ExecutorArgument, ShardArgument};
 use super::signals::goes_on_when_run_again;
 use super::workspace::Workspace;
 use crate::error::{Context, Error, Result};
-use crate::pipeline::{self, Graph, Mode, Options, Recipe, Site};
+use crate::pipeline::{self, Graph, Mode, Options, Recipe, Results, Site};
 use crate::stages::{STAGES, twins as stage};
 use crate::twin::{Matrix, Report, Share, Spread, Tally};
 use clap::Args;
@@ -80,7 +80,7 @@ pub fn twins(arguments: &TwinsArguments, json: bool) -> Result<()> {
     if let Some(failure) = summary.failures.into_iter().next() {
         return Err(failure.error);
     }
-    let report = stage::read(&pipeline::output(&site, &graph, "twins")?)?;
+    let report = stage::read(&Results::of(&site, &graph)?.output("twins")?)?;
     if json { write_json(&report) } else { print(&report) }
 }
 

@@ -7,7 +7,7 @@ use super::publish::publish;
 use super::reporter::{Terminal, Verbosity};
 use super::workspace::{Workspace, results_folder};
 use crate::error::{Error, Result};
-use crate::pipeline::{self, Damage, Mode, Options, Verification};
+use crate::pipeline::{self, Damage, Mode, Options, Results, Verification};
 use clap::Args;
 use serde_json::json;
 use std::path::PathBuf;
@@ -64,7 +64,8 @@ pub fn verify(arguments: &VerifyArguments, json: bool) -> Result<()> {
         pipeline::discard(site.run_dir, &found.damaged)?;
         let terminal = Terminal::new(if json { Verbosity::Quiet } else { Verbosity::Normal });
         let summary = pipeline::run(&site, &workspace.graph, &options, Mode::Run, &terminal)?;
-        publish(&workspace)?;
+        let _lease = site.lease();
+        publish(&workspace, &Results::of(&site, &workspace.graph)?)?;
         if let Some(failure) = summary.failures.into_iter().next() {
             return Err(failure.error);
         }

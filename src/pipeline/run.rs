@@ -6,8 +6,8 @@ use super::files::remove_dir;
 use super::lock::{Agreement, Lease};
 use super::reporter::StageProgress;
 use super::site::EARLIER;
-use super::store::{Outputs, Published};
-use super::{Action, Address, Decision, Event, Graph, Lock, Options, OutsideFile, Reason, Reporter, Site, State, Task};
+use super::store::Published;
+use super::{Action, Decision, Event, Graph, Lock, Options, Reason, Reporter, Site, State, Task};
 use crate::error::{Error, Result};
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -107,63 +107,6 @@ fn agree(site: &Site<'_>, graph: &Graph) -> Result<Agreement> {
             format!("a run of site `{}` with other settings is at work in `{}`", site.name, site.run_dir.display());
         Error::new(what).hint("wait for it, or give one of the two another `name` in its manifest")
     })
-}
-
-/// Folder of the stored output of one stage, for commands that read results.
-///
-/// # Errors
-/// When there is no such stage or its output is not stored.
-pub fn output(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<PathBuf> {
-    let planner = Planner::new(site, graph, &Options::default())?;
-    let address = stored(&planner, graph, stage)?;
-    Ok(planner.store.dir(&address))
-}
-
-/// Files from outside that one stage read.
-///
-/// # Errors
-/// When there is no such stage or its output is not stored.
-pub fn outside_files(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<Vec<OutsideFile>> {
-    let planner = Planner::new(site, graph, &Options::default())?;
-    let address = stored(&planner, graph, stage)?;
-    Ok(planner.store.parts(&address).map(|parts| parts.files).unwrap_or_default())
-}
-
-/// Where the output of one stage is stored.
-fn stored(planner: &Planner<'_>, graph: &Graph, stage: &str) -> Result<Address> {
-    let index = match graph.select(stage)?.into_iter().collect::<Vec<_>>().as_slice() {
-        [one] => *one,
-        _ => {
-            return Err(Error::new(format!("stage `{stage}` has several instances")).hint("name one: `stage.instance`"));
-        }
-    };
-    let (decisions, resolved) = planner.plan()?;
-    match (&decisions[index].action, &resolved[index]) {
-        (Action::Cached, Some(known)) => match planner.content(index, &known.address) {
-            State::Damaged(why) => Err(Error::new(format!("the output of `{stage}` is damaged: {why}"))
-                .hint(format!("`flare-pipe run` with `--only {stage} --force {stage}` computes it again"))),
-            _ => Ok(known.address.clone()),
-        },
-        _ => Err(Error::new(format!("the output of `{stage}` is not up to date: {}", decisions[index].reason()))
-            .hint(format!("`flare-pipe run` computes it, and with `--until {stage}` what it needs alone"))),
-    }
-}
-
-/// Paths of what one stage has stored: its own files, then those of its items in their order.
-///
-/// # Errors
-/// When there is no such stage or its output is not stored.
-pub fn files(site: &Site<'_>, graph: &Graph, stage: &str) -> Result<Vec<PathBuf>> {
-    let planner = Planner::new(site, graph, &Options::default())?;
-    let read = |address: &Address| {
-        let folder = planner.store.dir(address);
-        Outputs::read(&folder).map(|outputs| (folder, outputs))
-    };
-    let own = read(&stored(&planner, graph, stage)?)?;
-    let addresses = own.1.items.iter().filter_map(|item| Address::parse(&item.entry));
-    let items = addresses.map(|address| read(&address)).collect::<Result<Vec<_>>>()?;
-    let all = std::iter::once(own).chain(items);
-    Ok(all.flat_map(|(folder, outputs)| outputs.files.into_iter().map(move |file| folder.join(file.name))).collect())
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

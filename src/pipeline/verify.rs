@@ -42,7 +42,8 @@ pub fn verify_all(run_dir: &Path) -> Result<Verification> {
 /// When outside files of the site cannot be read.
 pub fn verify_site(site: &Site<'_>, graph: &Graph) -> Result<Verification> {
     let store = site.store();
-    let mut open: Vec<Address> = super::status(site, graph)?.into_iter().filter_map(|stage| stage.entry).collect();
+    let mut open: Vec<Address> =
+        super::Results::of(site, graph)?.status().into_iter().filter_map(|stage| stage.entry).collect();
     let mut all = BTreeSet::new();
     while let Some(address) = open.pop() {
         let items = Outputs::read(&store.dir(&address)).map(|outputs| outputs.items).unwrap_or_default();

@@ -52,6 +52,10 @@ impl Place {
         work(&Site { name: "toy", manifest: &manifest, manifest_dir: self.dir.path(), run_dir: &run_dir }, &graph)
     }
 
+    fn status(&self, manifest: &str) -> Vec<StageStatus> {
+        self.with(manifest, |site, graph| Ok(Results::of(site, graph)?.status())).expect("readable")
+    }
+
     fn run(&self, manifest: &str, options: &Options) -> Result<Summary> {
         self.with(manifest, |site, graph| run(site, graph, options, Mode::Run, &Quiet))
     }
@@ -176,7 +180,7 @@ fn broken_items_are_recorded_and_a_grown_ensemble_computes_what_is_new() {
     place.run("ensemble = { count = 3, broken = [1] }", &Options::default()).expect("runs");
     assert_eq!(place.computed(), ["item 0", "item 1", "item 2"]);
     let entry = place
-        .with("ensemble = { count = 3, broken = [1] }", |site, graph| output(site, graph, "ensemble"))
+        .with("ensemble = { count = 3, broken = [1] }", |site, graph| Results::of(site, graph)?.output("ensemble"))
         .expect("stored");
     assert_eq!(fs::read_to_string(entry.join("value")).expect("written"), "2 of 3");
     let items = Outputs::read(&entry).expect("readable").items;
@@ -227,7 +231,7 @@ fn what_a_stage_reads_is_as_it_was_written_or_is_computed_again() {
         assert_eq!(place.computed(), ["fit.NS", "number"]);
         assert_eq!(place.bytes(), right);
     }
-    let shown = || place.with(&edited, |site, graph| output(site, graph, "number"));
+    let shown = || place.with(&edited, |site, graph| Results::of(site, graph)?.output("number"));
     flip(&runs.join(published_entry(&place, "number")).join("value"));
     let refused = shown().expect_err("other content").to_string();
     assert!(refused.contains("the output of `number` is damaged: `value` has other content"), "{refused}");
@@ -386,7 +390,7 @@ fn what_was_made_from_an_outside_file_outlives_it() {
     );
     place.run(&edited, &Options::default()).expect("runs");
     assert_eq!(place.computed(), ["join"]);
-    assert_eq!(place.with(&edited, status).expect("readable")[0].state, "cached");
+    assert_eq!(place.status(&edited)[0].state, "cached");
     // Nothing stands in for a file of another name, nor once the output is to be computed again.
     let error = place.run("file = { path = 'b.csv' }", &Options::default()).expect_err("no such file");
     assert!(error.to_string().contains("b.csv"), "{error}");
@@ -419,7 +423,9 @@ fn a_second_pass_takes_its_parameters_from_a_manifest_that_a_stage_wrote() {
     let summary = place.run(manifest, &Options { jobs: 1, ..Options::default() }).expect("runs");
     assert_eq!(summary.computed, ["before", "correct", "after", "both"]);
     assert_eq!(place.computed(), ["after", "before", "both"]);
-    let value = |stage| place.with(manifest, |site, graph| Ok(fs::read(output(site, graph, stage)?.join("value"))));
+    let value = |stage| {
+        place.with(manifest, |site, graph| Ok(fs::read(Results::of(site, graph)?.output(stage)?.join("value"))))
+    };
     assert_eq!(value("after").expect("stored").expect("written"), b"2");
     assert!(place.plan(manifest, &Options::default()).expect("plans").iter().all(|line| line.ends_with("Cached")));
     // Nothing to correct: the second pass is the first.
@@ -441,7 +447,7 @@ fn a_published_file_of_an_earlier_output_does_not_stay() {
 fn status_tells_state_time_and_size() {
     let place = Place::new(CHAIN);
     let states = |manifest: &str| {
-        let list = place.with(manifest, status).expect("readable");
+        let list = place.status(manifest);
         list.into_iter().map(|s| (s.stage, s.state, s.bytes)).collect::<Vec<_>>()
     };
     assert!(states(MANIFEST).iter().all(|(_, state, bytes)| *state != "cached" && bytes.is_none()));
@@ -452,7 +458,7 @@ fn status_tells_state_time_and_size() {
     fs::write(place.path("runs").join(published_entry(&place, "number")).join("value"), "long").expect("writable");
     assert_eq!(states(MANIFEST)[0].1, "damaged");
     assert_eq!(states(&MANIFEST.replace("count = 4", "count = 3"))[3].1, "outdated");
-    let json = serde_json::to_value(place.with(MANIFEST, status).expect("readable")).expect("serialisable");
+    let json = serde_json::to_value(place.status(MANIFEST)).expect("serialisable");
     assert_eq!(json[0]["reasons"][0], "output damaged: `value` has 4 bytes instead of 1");
 }
 
