@@ -185,18 +185,34 @@ impl<'a> Competition<'a> {
             for labels in &all {
                 self.rounds(labels, rounds, progress)?;
             }
-            let reached = |labels: &Vec<Label>| self.log_posterior(self.leading(labels));
-            all.sort_by(|a, b| reached(b).total_cmp(&reached(a)));
+            self.compare(&mut all, progress)?;
             all.truncate(all.len().div_ceil(2));
             rounds *= 2;
         }
+        let mut labels = self.best_named().labels().to_vec();
         for _ in 0..ROUNDS {
-            let labels = self.best_named().labels().to_vec();
             if !self.round(&labels, progress)? {
                 break;
             }
+            let ahead = self.best_named().labels().to_vec();
+            if ahead != labels {
+                let mut both = [labels, ahead];
+                self.compare(&mut both, progress)?;
+                [labels, _] = both;
+            }
         }
         self.settle(progress)
+    }
+
+    /// Sorts labels, the most probable first, when what is expected under each is read off beside its best model: a round may have found
+    /// what tells most of that, and what is expected beside anything else favours other labels.
+    fn compare(&mut self, all: &mut [Vec<Label>], progress: &dyn Progress) -> Result<()> {
+        for labels in &*all {
+            self.renew(labels, progress)?;
+        }
+        let reached = |labels: &Vec<Label>| self.log_posterior(self.leading(labels));
+        all.sort_by(|a, b| reached(b).total_cmp(&reached(a)));
+        Ok(())
     }
 
     /// Looks for candidates under `labels` in so many `rounds`, or until nothing is left to look around.
@@ -386,4 +402,44 @@ fn is_same_set(one: &[Instance], other: &[Instance]) -> bool {
 /// Whether `sets` hold a set of effects.
 fn has_set(sets: &[Vec<Instance>], set: &[Instance]) -> bool {
     sets.iter().any(|known| is_same_set(known, set))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{Truth, Uniform, as_declared, in_competition, problem};
+    use super::*;
+    use crate::progress::Quiet;
+
+    #[test]
+    fn labels_are_compared_by_what_is_expected_beside_the_best_model_of_each() {
+        let table = "kind = 'sensor_orientation'\nsensor = 'top'\nazimuth_deg = 20.0";
+        let problem = problem(&Truth { table, events: 4, ..Truth::default() });
+        in_competition(&problem, &Uniform(&problem), as_declared, |mut competition| {
+            let at_top = |kind: &'static str| {
+                let is_meant =
+                    move |i: &&Instance| i.kind == kind && i.target.values().any(|at| at.as_str() == Some("top"));
+                competition.instances.iter().find(is_meant).cloned().expect("a candidate")
+            };
+            let (turned, crossed) = (at_top("sensor_orientation"), at_top("swapped_channels"));
+            let declared = competition.fits[0].model.declared;
+            let start = |effects: Vec<Instance>, azimuth_deg: f64| {
+                let mut x = vec![0.0; declared.len()];
+                x.push(azimuth_deg);
+                Start::at(Model { declared, effects }, x)
+            };
+            let right = competition.finish(start(vec![turned.clone()], 10.0), &Quiet).expect("a fit");
+            let wrong = competition.finish(start(vec![crossed, turned], -40.0), &Quiet).expect("a fit");
+            let mut both = [&wrong, &right].map(|fit| fit.labels().to_vec());
+            assert!(both[0] != both[1]);
+            let coherence = |competition: &Competition<'_>| {
+                let spread = competition.fitter.spread(&right.prediction).expect("an expectation");
+                spread.coherence[1].iter().copied().fold(f64::INFINITY, f64::min)
+            };
+            // That of the right labels was read off where the turn was taken for a field that strays.
+            assert!(coherence(&competition) < 0.97, "{}", coherence(&competition));
+            competition.compare(&mut both, &Quiet).expect("fits");
+            assert!(coherence(&competition) > 0.99, "{}", coherence(&competition));
+            assert_eq!(both[0], right.labels());
+        });
+    }
 }

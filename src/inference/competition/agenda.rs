@@ -9,12 +9,17 @@ use crate::inference::posterior::{Fit, Stop};
 use crate::progress::Progress;
 
 impl<'a> Competition<'a> {
-    /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
-    pub(super) fn round(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<bool> {
+    /// Reads off what is expected beside the best model under `labels`, and goes on with all under them by that.
+    pub(super) fn renew(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<()> {
         self.renew_anchor(labels, Stop::CLOSE)?;
         self.renew_spread(labels, progress)?;
         self.renew_parts(labels)?;
-        self.exchange_modes(labels, progress)?;
+        self.exchange_modes(labels, progress)
+    }
+
+    /// Looks for candidates around the most probable model under `labels`; whether there was where to look.
+    pub(super) fn round(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<bool> {
+        self.renew(labels, progress)?;
         if self.expanded.is_empty() && self.explore(labels, progress)? {
             return Ok(true);
         }
