@@ -19,6 +19,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         ("distill", site.distill.beyond()),
         ("calibrate", site.calibrate.problems()),
         ("diagnose", site.diagnose.problems()),
+        ("randomisation", site.randomisation.as_ref().map(|r| r.beyond()).unwrap_or_default()),
         ("executor.slurm", site.executor.slurm.beyond()),
         ("records", site.records.as_ref().map(|r| r.problems()).unwrap_or_default()),
     ];

@@ -6,6 +6,7 @@
 mod check;
 mod document;
 mod draft;
+mod randomisation;
 mod resolve;
 mod schema;
 mod sections;
@@ -15,6 +16,7 @@ mod table;
 pub use check::{LONGEST_NAME, is_site_name};
 pub use document::{Document, Problem};
 pub use draft::{Draft, DraftRecords};
+pub use randomisation::{Randomisation, SiteClass};
 pub use schema::schema;
 pub use sections::{ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, StudySection};
 
@@ -54,9 +56,12 @@ impl Manifest {
             overridden.push(document::apply_override(&mut table, assignment)?);
         }
         let mut problems = schema::compare(&table);
-        let site = sections::build(&table, &mut problems).map(|site| site.completed(&table));
+        let mut site = sections::build(&table, &mut problems).map(|site| site.completed(&table));
         if let Some(site) = &site {
             check::across(site, &mut problems);
+        }
+        if problems.is_empty() {
+            site = site.map(|site| realised(site, &mut problems));
         }
         // What is filled in follows from what is said: where that is wrong, the other is no news.
         let is_filled_in = |p: &Problem| {
@@ -93,6 +98,21 @@ impl Manifest {
         }
         toml::Table::try_from(&site).map_err(|e| Error::new("cannot write the manifest as TOML").cause(e))
     }
+}
+
+/// The realisation of a site that says of which it is one, with what is wrong with that.
+fn realised(site: Site, problems: &mut Vec<Problem>) -> Site {
+    let Some(randomisation) = site.randomisation.clone() else { return site };
+    let realised = randomisation.realised(site);
+    let mut found = Vec::new();
+    check::across(&realised, &mut found);
+    let of_realisation = |p: Problem| Problem {
+        key: "randomisation".into(),
+        what: format!("this realisation of the site cannot be: {} at `{}`", p.what, p.key),
+        ..p
+    };
+    problems.extend(found.into_iter().map(of_realisation));
+    realised
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! The typed sections of a site manifest.
 
-use super::Problem;
+use super::{Problem, Randomisation};
 use crate::column::{self, Analysis, Rayleigh, Vertical};
 use crate::diagnosis::DiagnoseSettings;
 use crate::effects::Tolerances;
@@ -44,6 +44,9 @@ pub struct Site {
     pub law: BTreeMap<String, toml::Table>,
     /// Input sensor and output sensors.
     pub sensors: SensorsSection,
+    /// A realisation of the declared site instead of that itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub randomisation: Option<Randomisation>,
     /// Prior standard deviations of what is declared.
     #[serde(default)]
     pub tolerances: Tolerances,
