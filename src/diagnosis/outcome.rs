@@ -45,6 +45,9 @@ pub struct Found {
     pub table: toml::Table,
     /// Its parameters by name.
     pub parameters: BTreeMap<String, Estimate>,
+    /// Whether its parameter has in it what is recalibrated of the same declared value.
+    #[serde(default)]
+    pub is_total: bool,
     /// ln of the odds of the model with all named effects against what is declared.
     pub gain: f64,
     /// Fall of the cost on the validation events alone.

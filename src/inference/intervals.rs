@@ -1,5 +1,6 @@
 //! Intervals of the parameters of effects: of one model, and over all that may hold.
 
+use super::parameters::Total;
 use super::posterior::Fit;
 use crate::effects::Instance;
 use crate::metrics::{normal_probability, t_quantile};
@@ -19,9 +20,28 @@ pub struct Member<'c, 'a> {
     pub odds: f64,
     /// Of 95 % intervals of its coordinates.
     pub half_widths: Vec<f64>,
+    /// What is off in all where each of its effects is, and the half width of the 95 % interval of that; none where that is no more than the
+    /// effect.
+    pub totals: Vec<Option<[f64; 2]>>,
 }
 
-/// 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`. What else may hold widens them: every member that has
+impl<'c, 'a> Member<'c, 'a> {
+    /// Coordinate `k` of effect `effect`, and the half width of its interval.
+    fn coordinate(&self, effect: usize, k: usize) -> [f64; 2] {
+        let at = self.fit.model.start(effect) + k;
+        [self.fit.x[at], self.half_widths[at]]
+    }
+
+    /// Intervals of `fit` by events, which are `groups`; `is_added` says of which effects declared values add to them.
+    pub fn new(fit: &'c Fit<'a>, odds: f64, groups: &[usize], is_added: impl Fn(&Instance) -> bool) -> Self {
+        let total = |index: usize| fit.model.total(&fit.x, index).filter(|_| is_added(&fit.model.effects[index]));
+        let of = |total: Total| [total.coordinate, half_widths_along(fit, groups, &[total.slopes])[0]];
+        let totals = (0..fit.model.effects.len()).map(|index| total(index).map(of)).collect();
+        Self { fit, odds, half_widths: half_widths(fit, groups), totals }
+    }
+}
+
+/// 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`, or of what is off in all. What else may hold widens them: every member that has
 /// that effect counts by its probability, here, and elsewhere in the soil; what another sensor does is a number of its own.
 ///
 /// ```text
@@ -32,7 +52,9 @@ pub struct Member<'c, 'a> {
 pub fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<[f64; 2]> {
     let own = &fit.model.effects[index];
     let of = |k: usize| {
-        let mixture = mixture(own, k, members, own.class().moves_column());
+        let mixture = mixture(own, members, own.class().moves_column(), |m, effect| {
+            m.totals[effect].unwrap_or_else(|| m.coordinate(effect, k))
+        });
         [TAIL, 1.0 - TAIL].map(|p| quantile(&mixture, p))
     };
     (0..own.free.len()).map(of).collect()
@@ -42,7 +64,7 @@ pub fn averaged(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> Vec<
 /// whichever side of that a member has it.
 pub fn may_be_none(fit: &Fit<'_>, index: usize, members: &[Member<'_, '_>]) -> bool {
     let own = &fit.model.effects[index];
-    are_nothing(own, |k, zero| holds(&mixture(own, k, members, true), zero))
+    are_nothing(own, |k, zero| holds(&mixture(own, members, true, |m, effect| m.coordinate(effect, k)), zero))
 }
 
 /// Whether `own` has strengths, and each of their coordinates, with that at which it is nothing, is as `is_nothing` says.
@@ -52,13 +74,19 @@ fn are_nothing(own: &Instance, is_nothing: impl Fn(usize, f64) -> bool) -> bool 
     strengths.peek().is_some() && strengths.all(|k| is_nothing(k, zero[k]))
 }
 
-/// What `members` say of coordinate `k` of the effect `own`, where they have it, and with `elsewhere` where they have it at another place.
-fn mixture(own: &Instance, k: usize, members: &[Member<'_, '_>], elsewhere: bool) -> Vec<Normal> {
-    let of = |m: &Member<'_, '_>| {
+/// What `members` say of the effect `own`, where they have it, and with `elsewhere` where they have it at another place; `value` is a value
+/// of an effect of one of them, by index, and the half width of its interval.
+fn mixture<'m, 'c, 'a>(
+    own: &Instance,
+    members: &'m [Member<'c, 'a>],
+    elsewhere: bool,
+    value: impl Fn(&'m Member<'c, 'a>, usize) -> [f64; 2],
+) -> Vec<Normal> {
+    let of = |m: &'m Member<'c, 'a>| {
         let model = &m.fit.model;
         let there = || model.effects.iter().position(|e| elsewhere && e.is_alike(own));
-        let at = model.start(model.index_of(own).or_else(there)?) + k;
-        Some(Normal { weight: m.odds, mean: m.fit.x[at], deviation: m.half_widths[at] / NORMAL })
+        let [mean, half_width] = value(m, model.index_of(own).or_else(there)?);
+        Some(Normal { weight: m.odds, mean, deviation: half_width / NORMAL })
     };
     members.iter().filter_map(of).collect()
 }

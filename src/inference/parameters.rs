@@ -96,6 +96,15 @@ impl Tolerance {
     }
 }
 
+/// What is off in all of one kind, by an effect and by declared values.
+#[derive(Debug, Clone)]
+pub struct Total {
+    /// In the coordinate of the effect.
+    pub coordinate: f64,
+    /// How it changes with each coordinate of the model.
+    pub slopes: Vec<f64>,
+}
+
 /// What may be off in the declared site.
 #[derive(Debug, Clone)]
 pub struct Declared {
@@ -163,7 +172,22 @@ impl Declared {
 
     /// `[[effects]]` tables at the coordinates `z`; what is as declared is left out.
     pub fn tables(&self, z: &[f64]) -> Vec<Table> {
-        let factors = self.ln_factors(z);
+        self.tables_beside(z, &[])
+    }
+
+    /// The same without what `effects` have in their [`Model::total`].
+    pub fn tables_beside(&self, z: &[f64], effects: &[&Instance]) -> Vec<Table> {
+        let mut factors = self.ln_factors(z);
+        let mut z = z.to_vec();
+        for effect in effects {
+            match self.same_range(effect) {
+                Some(rows) => {
+                    let ln = self.mean_over(&rows, |row| factors[row]);
+                    rows.for_each(|row| factors[row] -= ln);
+                }
+                None => self.same_other(effect).into_iter().for_each(|i| z[self.n_mode() + i] = 0.0),
+            }
+        }
         let ranges = self.cuts_m.windows(2).zip(factors).filter(|(_, ln)| *ln != 0.0);
         let mut tables: Vec<Table> = ranges
             // The range of the effect; velocities beyond it are no tolerance.
@@ -176,29 +200,53 @@ impl Declared {
         tables
     }
 
+    /// The one of the other tolerances that does what the only parameter of `effect` does.
+    fn same_other(&self, effect: &Instance) -> Option<usize> {
+        self.others.iter().position(|o| o.beside.is_empty() && o.instance.is_one(effect))
+    }
+
+    /// The ranges of velocities that `effect` moves, where that is what it does and it ends where they end.
+    fn same_range(&self, effect: &Instance) -> Option<Range<usize>> {
+        let depth = |key: &str| effect.target.get(key).and_then(toml::Value::as_float);
+        let (top_m, bottom_m) = (depth("top_m")?, depth("bottom_m")?);
+        let cut = |depth_m: f64| self.cuts_m.iter().position(|cut_m| (cut_m - depth_m).abs() < 1e-6);
+        let is_velocity = self.n_mode() > 0 && effect.is_alike(&velocity_between([top_m, bottom_m]));
+        is_velocity.then(|| Some(cut(top_m)?..cut(bottom_m)?)).flatten().filter(|rows| !rows.is_empty())
+    }
+
+    /// Mean over the depth of some ranges.
+    fn mean_over(&self, rows: &Range<usize>, of: impl Fn(usize) -> f64) -> f64 {
+        let [top_m, bottom_m] = [rows.start, rows.end].map(|cut| self.cuts_m[cut]);
+        rows.clone().map(|row| (self.cuts_m[row + 1] - self.cuts_m[row]) * of(row)).sum::<f64>() / (bottom_m - top_m)
+    }
+
+    /// How far declared values at `z` are moved in the only parameter of `effect`, and how that changes with each of them; none where no
+    /// declared value does the same.
+    fn moved(&self, effect: &Instance, z: &[f64]) -> Option<Total> {
+        let mut slopes = vec![0.0; self.len()];
+        if let Some(rows) = self.same_range(effect) {
+            let factors = self.ln_factors(z);
+            (0..self.n_mode()).for_each(|k| slopes[k] = self.mean_over(&rows, |row| self.modes[row][k]));
+            return Some(Total { coordinate: self.mean_over(&rows, |row| factors[row]), slopes });
+        }
+        let i = self.same_other(effect)?;
+        let (at, own) = (self.n_mode() + i, &self.others[i]);
+        let ends = [0.5, -0.5].map(|h| own.coordinate(z[at] + h * STEP));
+        slopes[at] = (ends[0] - ends[1]) / STEP;
+        Some(Total { coordinate: own.coordinate(z[at]) - own.coordinate(0.0), slopes })
+    }
+
     /// Coordinates that at `z` do what the only parameter of `effect` does, and how far they go for one unit of it; none where what is
     /// declared cannot stand in for it.
     fn same_as(&self, effect: &Instance, z: &[f64]) -> Vec<(usize, f64)> {
-        let own = |o: &Tolerance| o.beside.is_empty() && o.instance.is_one(effect);
-        if let Some(i) = self.others.iter().position(own) {
+        let Some(rows) = self.same_range(effect) else {
+            let Some(i) = self.same_other(effect) else { return Vec::new() };
             let at = self.n_mode() + i;
             let ends = [0.5, -0.5].map(|h| self.others[i].coordinate(z[at] + h * STEP));
             return vec![(at, STEP / (ends[0] - ends[1]))];
-        }
-        let depth = |key: &str| effect.target.get(key).and_then(toml::Value::as_float);
-        let (Some(top_m), Some(bottom_m), 1..) = (depth("top_m"), depth("bottom_m"), self.n_mode()) else {
-            return Vec::new();
         };
-        if !effect.is_alike(&velocity_between([top_m, bottom_m])) {
-            return Vec::new();
-        }
-        let is_cut = |depth_m: f64| self.cuts_m.iter().any(|cut_m| (cut_m - depth_m).abs() < 1e-6);
-        if !(is_cut(top_m) && is_cut(bottom_m)) {
-            return Vec::new();
-        }
         // Modes that together move the layer and nothing else, if there are any.
-        let is_inside = |pair: &[f64]| pair[0] >= top_m - 1e-6 && pair[1] <= bottom_m + 1e-6;
-        let inside: Vec<f64> = self.cuts_m.windows(2).map(|p| f64::from(u8::from(is_inside(p)))).collect();
+        let inside: Vec<f64> = (0..self.modes.len()).map(|row| f64::from(u8::from(rows.contains(&row)))).collect();
         let m = self.n_mode();
         let product = |a: usize, b: usize| self.modes.iter().map(|row| row[a] * row[b]).sum::<f64>();
         let side: Vec<f64> = (0..m).map(|k| self.modes.iter().zip(&inside).map(|(row, w)| row[k] * w).sum()).collect();
@@ -286,6 +334,26 @@ impl<'a> Model<'a> {
     pub fn effect_table(&self, x: &[f64], index: usize) -> Table {
         let start = self.start(index);
         self.effects[index].at(&x[start..start + self.effects[index].free.len()])
+    }
+
+    /// The only parameter of effect `index` together with what declared values do of the same, which is what is off in all; none where no
+    /// declared value does, where the two are not one after the other, as what else is done to a sensor may come between, and where they
+    /// are beyond what one effect may be.
+    ///
+    /// How much of it is within a tolerance and how much beyond is for the priors of both to say and not for the records.
+    pub fn total(&self, x: &[f64], index: usize) -> Option<Total> {
+        let own = &self.effects[index];
+        let sensor = |effect: &Instance| effect.target.get("sensor").cloned();
+        let is_between = |other: &Instance| sensor(own).is_some() && sensor(other) == sensor(own) && !other.is_one(own);
+        if own.free.len() != 1 || self.effects.iter().any(is_between) {
+            return None;
+        }
+        let mut total = self.declared.moved(own, x)?;
+        total.slopes.resize(self.len(), 0.0);
+        total.slopes[self.start(index)] = 1.0;
+        total.coordinate += x[self.start(index)];
+        let [low, high] = own.bounds()[0];
+        (low..=high).contains(&total.coordinate).then_some(total)
     }
 
     /// Coordinates of effects for which declared values can stand in at `x`: coordinate, and [`Declared::same_as`].
@@ -448,6 +516,55 @@ mod tests {
             let found = moved(1.0) - moved(0.0);
             assert!((found / 0.003 - 1.0).abs() < 0.1, "{kind} {ratio:?}: {found}");
         }
+    }
+
+    #[test]
+    fn what_is_off_in_all_is_what_effect_and_declared_values_make_of_the_column() {
+        let problem = problem(&Truth::default());
+        let declared = Declared::new(&problem).unwrap();
+        let all = effects::instances(&problem.array);
+        let edited = |tables: &[Table]| {
+            let mut profile = problem.array.profile.clone();
+            effects::apply(tables, &mut profile, &Situation::default()).unwrap();
+            let damping = profile.layers[0].law["damping_ratio"].as_float().unwrap();
+            (profile.layers.iter().map(|l| l.vs_m_s).collect::<Vec<_>>(), damping)
+        };
+        let mut z: Vec<f64> = (0..declared.len()).map(|i| 0.3 - 0.2 * (i % 4) as f64).collect();
+        z[declared.added()] = 0.1;
+        for (instance, at) in [
+            (all.iter().find(|i| i.kind == "small_strain_damping").unwrap().clone(), 0.7),
+            (velocity_between([0.0, 40.0]), 0.2),
+        ] {
+            let model = Model { declared: &declared, effects: vec![instance.clone()] };
+            let x = [&z[..], &[at]].concat();
+            let total = model.total(&x, 0).unwrap();
+            assert!((total.coordinate - at).abs() > 1e-3, "declared values move it");
+            let mut tables = declared.tables_beside(&z, &[&instance]);
+            assert!(tables.len() < declared.tables(&z).len());
+            tables.push(instance.at(&[total.coordinate]));
+            let (separate, together) = (edited(&model.tables(&x)), edited(&tables));
+            let pairs = separate.0.iter().zip(&together.0);
+            assert!(pairs.into_iter().all(|(a, b)| (a / b - 1.0).abs() < 1e-9), "{separate:?} {together:?}");
+            assert!((separate.1 / together.1 - 1.0).abs() < 1e-9, "{separate:?} {together:?}");
+            // How it changes with each coordinate.
+            for i in 0..x.len() {
+                let moved = |h: f64| {
+                    let mut x = x.clone();
+                    x[i] += h;
+                    model.total(&x, 0).unwrap().coordinate
+                };
+                let slope = (moved(1e-4) - moved(-1e-4)) / 2e-4;
+                assert!((slope - total.slopes[i]).abs() < 1e-4, "{i}: {slope} {}", total.slopes[i]);
+            }
+        }
+        // What else is done to a sensor may come between.
+        let of = |kind: &str| all.iter().find(|i| i.kind == kind && i.place().contains("top")).unwrap().clone();
+        let (gain, clock) = (of("sensor_gain"), of("clock_offset"));
+        let of = |effects: Vec<Instance>| {
+            let x = vec![0.1; declared.len() + effects.len()];
+            Model { declared: &declared, effects }.total(&x, 0)
+        };
+        assert!(of(vec![gain.clone()]).is_some() && of(vec![gain, clock]).is_none());
     }
 
     #[test]

@@ -8,6 +8,7 @@ use super::files::{list, remove_dir, sync_dir, sync_tree};
 use super::key::{Address, Parts, content_hash, file_hash, stored_hash};
 use super::lock::{Lease, Owner};
 use crate::error::{Context, Error, Result};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File};
 use std::path::{Component, Path, PathBuf};
@@ -236,16 +237,23 @@ impl Store {
             }
         }
         let path = [above, std::slice::from_ref(address)].concat();
-        for item in outputs.items.iter().filter(|i| i.failure.is_none()) {
-            let address = Address::parse(&item.entry).ok_or(format!("item `{}` is nowhere", item.id))?;
+        // Side by side: an ensemble may have ten thousand items, each of several small files.
+        let damage = |item: &ItemRecord| {
+            let Some(address) = Address::parse(&item.entry) else {
+                return Some(format!("item `{}` is nowhere", item.id));
+            };
             if path.contains(&address) {
-                return Err(format!("item `{}` holds itself", item.id));
+                return Some(format!("item `{}` holds itself", item.id));
             }
             match self.check(&address, if depth == Depth::Everything { depth } else { Depth::Sizes }, &path) {
-                State::Sound(_) => {}
-                State::Missing => return Err(format!("item `{}` is gone", item.id)),
-                State::Damaged(why) => return Err(format!("item `{}`: {why}", item.id)),
+                State::Sound(_) => None,
+                State::Missing => Some(format!("item `{}` is gone", item.id)),
+                State::Damaged(why) => Some(format!("item `{}`: {why}", item.id)),
             }
+        };
+        let computed = outputs.items.par_iter().filter(|i| i.failure.is_none());
+        if let Some(damage) = computed.map(damage).find_map_first(|damage| damage) {
+            return Err(damage);
         }
         Ok(outputs)
     }

@@ -24,7 +24,7 @@ use toml::{Table, Value};
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 69);
+const TWIN: (&str, u32) = ("twin", 70);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -52,7 +52,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        67
+        68
     }
 
     fn reads(&self) -> &'static [&'static str] {
@@ -188,7 +188,7 @@ impl Stand {
             ranked,
             gain: diagnosis.candidates.first().map_or(0.0, |c| c.gain),
             explained_share: diagnosis.explained_share,
-            parameters: recovered(&case.truth.effects, &diagnosis),
+            parameters: recovered(case, &case.drawn(&bench.problem.array, &self.tolerances), &diagnosis),
             nrmse_percent: Four {
                 declared: error(&[])?,
                 recalibrated: error(&diagnosis.nuisances)?,
@@ -218,12 +218,15 @@ impl Stand {
 }
 
 /// Parameters of the effects that were rightly named, beside what held; places that only shape an effect left out.
-fn recovered(truth: &[Table], diagnosis: &Diagnosis) -> Vec<Recovered> {
+fn recovered(case: &Case, drawn: &[Table], diagnosis: &Diagnosis) -> Vec<Recovered> {
     let mut all = Vec::new();
     for found in &diagnosis.effects {
-        let held = truth.iter().find(|t| t.get("kind").and_then(Value::as_str) == Some(&found.kind));
+        let is_held = |t: &&Table| t.get("kind").and_then(Value::as_str) == Some(&found.kind);
+        let held = case.truth.effects.iter().find(is_held);
+        // What is off in all, where that is what was found.
+        let besides = if found.is_total { drawn } else { &[] };
         for (name, estimate) in &found.parameters {
-            if let Some(value) = held.and_then(|t| t.get(name)).and_then(Value::as_float) {
+            if let Some(value) = held.and_then(|held| twin::total(held, name, besides)) {
                 let name = format!("{}.{name}", found.kind);
                 all.push(Recovered { name, truth: value, value: estimate.value, ci95: estimate.ci95 });
             }

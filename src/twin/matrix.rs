@@ -183,9 +183,14 @@ impl Cell {
 impl Case {
     /// Everything that moves this twin from the declared model: drawn tolerances, then effects.
     pub fn tables(&self, array: &Array, tolerances: &Tolerances) -> Vec<Table> {
-        let mut tables = draw(array, tolerances, self.truth.seed);
+        let mut tables = self.drawn(array, tolerances);
         tables.extend(self.truth.effects.clone());
         tables
+    }
+
+    /// The drawn tolerances.
+    pub fn drawn(&self, array: &Array, tolerances: &Tolerances) -> Vec<Table> {
+        draw(array, tolerances, self.truth.seed)
     }
 }
 

@@ -13,7 +13,7 @@ mod simulate;
 mod tally;
 mod truth;
 
-pub use draw::draw;
+pub use draw::{draw, total};
 pub use foreign::{Foreign, ForeignDamping, OwnDamping};
 pub use matrix::{Case, Cell, Matrix};
 pub use outside::OUTSIDE;

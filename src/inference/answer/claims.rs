@@ -64,13 +64,6 @@ impl Claims {
         Self { claimed, besides }
     }
 
-    /// What of `fit` is recalibrated beside what is claimed: declared values within their tolerances, and the effects besides.
-    pub fn recalibrated(&self, fit: &Fit<'_>) -> Vec<toml::Table> {
-        let declared = fit.model.declared;
-        let tables = declared.tables(&fit.x[..declared.len()]).into_iter();
-        tables.chain(self.besides.iter().map(|index| fit.model.effect_table(&fit.x, *index))).collect()
-    }
-
     /// The effects of `fit` besides in a sentence.
     pub fn not_left_out(&self, fit: &Fit<'_>) -> Option<String> {
         let own = self.besides.iter().map(|index| &fit.model.effects[*index].kind);
