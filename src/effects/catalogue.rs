@@ -229,6 +229,19 @@ impl Instance {
         self.is_same(other) && self.is_alike(other)
     }
 
+    /// Depth of its place, m, where that is a depth.
+    pub fn depth_m(&self) -> Option<f64> {
+        self.target.get("depth_m").and_then(Value::as_float)
+    }
+
+    /// The same at another depth, m.
+    #[must_use]
+    pub fn at_depth(&self, depth_m: f64) -> Self {
+        let mut other = self.clone();
+        other.target.insert("depth_m".into(), depth_m.into());
+        other
+    }
+
     /// Whether it is something that a diagnosis names.
     pub fn is_named(&self) -> bool {
         self.class() != Class::Field

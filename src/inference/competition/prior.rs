@@ -10,11 +10,14 @@ const ONE_MORE: f64 = 0.25;
 
 /// Effects of the catalogue at every place of `array` where they have something to act on.
 pub fn acting(array: &Array) -> Vec<Instance> {
-    let acts = |i: &Instance| {
-        let at = i.zero().map_or_else(Vec::new, |zero| away(i, &zero, NODES[0], 1.0).unwrap_or(i.start()));
-        effects::build(&i.at(&at)).is_ok_and(|e| e.refusal(&array.profile).is_none())
-    };
-    effects::instances(array).into_iter().filter(acts).collect()
+    effects::instances(array).into_iter().filter(|i| acts(array, i)).collect()
+}
+
+/// Whether an effect has something to act on.
+pub fn acts(array: &Array, instance: &Instance) -> bool {
+    let zero = instance.zero();
+    let at = zero.map_or_else(Vec::new, |zero| away(instance, &zero, NODES[0], 1.0).unwrap_or(instance.start()));
+    effects::build(&instance.at(&at)).is_ok_and(|e| e.refusal(&array.profile).is_none())
 }
 
 /// ln of the prior of an effect at one of its places among `all` of them, by kind: kinds are as probable as each other, and so are the

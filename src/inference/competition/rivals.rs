@@ -1,5 +1,6 @@
 //! What could be taken for an effect, fitted in its place: the place of what is named is claimed with it.
 
+use super::prior::acts;
 use super::scan::Ground;
 use super::{Competition, FAR, FINALS, has_set, is_same_set};
 use crate::effects::{self, Instance};
@@ -35,11 +36,25 @@ impl<'a> Competition<'a> {
     }
 
     /// The same effect at the places before and after that of `own`: how well one of them does in its stead is told by a fit,
-    /// whatever it does at the strengths that are tried.
-    fn next_to<'i>(&'i self, own: &'i Instance) -> impl Iterator<Item = &'i Instance> {
-        let alike = || self.instances.iter().filter(|i| i.is_alike(own));
-        let at = alike().position(|i| i.is_one(own));
-        alike().enumerate().filter(move |(i, _)| at.is_some_and(|at| at.abs_diff(*i) == 1)).map(|(_, next)| next)
+    /// whatever it does at the strengths that are tried. Where it may be at any depth, those of the catalogue are a beginning: the places
+    /// half-way to the nearest that are known so far are looked at as well.
+    fn next_to(&self, own: &Instance) -> Vec<Instance> {
+        let Some(depth_m) = own.depth_m() else {
+            let alike: Vec<&Instance> = self.instances.iter().filter(|i| i.is_alike(own)).collect();
+            let at = alike.iter().position(|i| i.is_one(own));
+            let next = alike.into_iter().enumerate().filter(|(i, _)| at.is_some_and(|at| at.abs_diff(*i) == 1));
+            return next.map(|(_, next)| next.clone()).collect();
+        };
+        let fitted = self.fits.iter().flat_map(|fit| &fit.model.effects);
+        let alike = self.instances.iter().chain(fitted).filter(|i| i.is_alike(own));
+        let away_m: Vec<(f64, &Instance)> = alike.filter_map(|i| Some((i.depth_m()? - depth_m, i))).collect();
+        let array = &self.fitter.forward.problem.array;
+        let of_side = |side: f64| {
+            let all = away_m.iter().filter(|(away, _)| away * side > 0.0);
+            let (away, next) = all.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs()))?;
+            Some([(*next).clone(), own.at_depth(depth_m + 0.5 * away)])
+        };
+        [-1.0, 1.0].into_iter().filter_map(of_side).flatten().filter(|next| acts(array, next)).collect()
     }
 
     /// First fits of what could be taken for each of the effects of `base`, in its place.
@@ -57,8 +72,9 @@ impl<'a> Competition<'a> {
             let mut starts: Vec<Start<'a>> = grounds.into_iter().flatten().flat_map(of_ground).collect();
             let is_new =
                 |next: &Start<'a>| !starts.iter().any(|known| is_same_set(&known.model.effects, &next.model.effects));
-            let next: Vec<Start<'a>> =
-                self.next_to(own).filter(is_meant).map(|i| exchanged(base, index, i)).filter(is_new).collect();
+            let next = self.next_to(own);
+            let next = next.iter().filter(is_meant).map(|i| exchanged(base, index, i));
+            let next: Vec<Start<'a>> = next.filter(is_new).collect();
             starts.extend(next);
             self.first_fits(by, &starts)
         };
@@ -101,9 +117,13 @@ mod tests {
             let slips: Vec<Instance> =
                 competition.instances.iter().filter(|i| i.kind == "interface_slip").cloned().collect();
             assert!(slips.len() > 6 && slips.windows(2).all(|pair| depth_m(&pair[0]) < depth_m(&pair[1])));
-            let next = |own: &Instance| competition.next_to(own).cloned().collect::<Vec<_>>();
-            assert_eq!(next(&slips[0]), [slips[1].clone()]);
-            assert_eq!(next(&slips[3]), [slips[2].clone(), slips[4].clone()]);
+            let next = |own: &Instance| competition.next_to(own).iter().map(depth_m).collect::<Vec<_>>();
+            let between = |a: usize, b: usize| 0.5 * (depth_m(&slips[a]) + depth_m(&slips[b]));
+            assert_eq!(next(&slips[0]), [depth_m(&slips[1]), between(0, 1)]);
+            assert_eq!(next(&slips[3]), [depth_m(&slips[2]), between(3, 2), depth_m(&slips[4]), between(3, 4)]);
+            // A boundary of layers is nowhere but where one is declared.
+            let boundaries = competition.instances.iter().filter(|i| i.kind == "interface_depth");
+            assert!(boundaries.map(|own| competition.next_to(own).len()).all(|count| count <= 2));
             // Nothing slips in records of what is declared.
             let by = competition.few.fitter(&competition.fitter);
             let model = Model { declared: competition.few.declared, effects: vec![slips[3].clone()] };
