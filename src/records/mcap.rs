@@ -153,6 +153,14 @@ fn check_chunks(bytes: &[u8]) -> Result<()> {
             if compression.is_none_or(|length| length > body.len()) {
                 return Err(Error::new("the file is no whole MCAP").cause("a chunk ends in its header"));
             }
+            // What is not compressed is handed out record by record, its checksum notwithstanding: that is as wrong as who wrote it.
+            let records = || {
+                let length = usize::try_from(body.get(32..).and_then(number)?).ok()?;
+                body.get(40..)?.get(..length)
+            };
+            if compression == Some(0) && !records().is_some_and(holds_whole_records) {
+                return Err(Error::new("the file is no whole MCAP").cause("a record is longer than its chunk"));
+            }
         }
         rest = after;
     }
@@ -161,6 +169,15 @@ fn check_chunks(bytes: &[u8]) -> Result<()> {
         return Err(Error::new(format!("the file expands to {} MiB, at most {most} MiB are read", expanded >> 20)));
     }
     Ok(())
+}
+
+/// Whether `bytes` are records one after the other, each an opcode, its length, and that many bytes.
+fn holds_whole_records(mut bytes: &[u8]) -> bool {
+    while let Some(length) = bytes.get(1..).and_then(|b| b.first_chunk()).map(|b| u64::from_le_bytes(*b)) {
+        let Some(rest) = usize::try_from(length).ok().and_then(|n| bytes[9..].get(n..)) else { return false };
+        bytes = rest;
+    }
+    bytes.is_empty()
 }
 
 /// The wanted channels of a `file`.
@@ -218,6 +235,10 @@ mod tests {
     use ::mcap::records::MessageHeader;
 
     fn read(times_ns: &[u64]) -> Result<Vec<Channel>> {
+        channels("E1.NS.mcap", &written(times_ns), &|_| true)
+    }
+
+    fn written(times_ns: &[u64]) -> Vec<u8> {
         let mut bytes = std::io::Cursor::new(Vec::new());
         let mut writer = WriteOptions::new().compression(None).create(&mut bytes).unwrap();
         let topics = ["/record/surface", "/declared/depth/1.00 m"];
@@ -233,7 +254,30 @@ mod tests {
         }
         writer.finish().unwrap();
         drop(writer);
-        channels("E1.NS.mcap", bytes.get_ref(), &|_| true)
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn a_record_that_is_longer_than_its_chunk_is_refused() {
+        let sound = written(&[0, 5_000_000, 10_000_000]);
+        let mut chunk = MAGIC.len();
+        while sound[chunk] != op::CHUNK {
+            chunk += 9 + u64::from_le_bytes(sound[chunk + 1..chunk + 9].try_into().unwrap()) as usize;
+        }
+        // Without a checksum, as a writer may leave it.
+        let body = chunk + 9;
+        let damaged = |length: u64| {
+            let mut bytes = sound.clone();
+            bytes[body + 24..body + 28].fill(0);
+            bytes[body + 41..body + 49].copy_from_slice(&length.to_le_bytes());
+            channels("E1.NS.mcap", &bytes, &|_| true)
+        };
+        let own = u64::from_le_bytes(sound[body + 41..body + 49].try_into().unwrap());
+        // The records of this chunk are more than the first.
+        for length in [1, own - 1, own + 1, 1 << 20, u64::MAX - 8] {
+            let error = damaged(length).unwrap_err();
+            assert!(format!("{error}").contains("no whole MCAP"), "{length}: {error}");
+        }
     }
 
     #[test]
