@@ -13,6 +13,7 @@ use flare_pipe::{dataset, records::Channel};
 use std::fs;
 use std::io::Write as _;
 use std::path::Path;
+use std::sync::OnceLock;
 
 #[allow(dead_code, reason = "other tests use more of it")]
 #[path = "synthetic_column.rs"]
@@ -95,6 +96,7 @@ pub const READERS: &[Reader] = &[
         prepare: encoder,
         read: |d| SparseEncoder::load(d).map(|_| ()),
     },
+    Reader { name: "checkpoint", file: "training.state", prepare: |d| resumed(d).map(|_| ()), read: checkpoint },
 ];
 
 /// The folder of the project, wherever in it this is built.
@@ -241,12 +243,31 @@ fn mcap(folder: &Path) -> Result<()> {
     put(folder, "a.mcap", bytes.get_ref())
 }
 
-/// A model that has learned next to nothing, and its encoder.
-fn trained(folder: &Path, is_sparse: bool) -> Result<()> {
+/// A training that goes on from what is in `folder`, and leaves its state there.
+fn resumed(folder: &Path) -> Result<SourceModel> {
     fs::create_dir_all(folder).expect("made");
-    let column = Synthetic { n_case: 4, duration_s: 2.0, channels: 4, sensor_depth_m: vec![0.0], ..Default::default() };
-    let (cases, observation) = column.cases(3);
-    let settings = PretrainSettings {
+    let (cases, _) = small_column().cases(3);
+    let settings = PretrainSettings { validate_every: 1, checkpoint_every: 1, ..small_training() };
+    pretrain(&cases[..3], &cases[3..], &settings, 1, Some(folder), &Quiet).map(|(model, _)| model)
+}
+
+/// Goes on from a state, whatever it is, and asserts that what comes of it is what comes of none.
+fn checkpoint(folder: &Path) -> Result<()> {
+    static ALONE: OnceLock<Vec<f32>> = OnceLock::new();
+    let alone = ALONE.get_or_init(|| {
+        let empty = tempfile::tempdir().expect("a folder");
+        resumed(empty.path()).expect("a model").parameters
+    });
+    assert!(resumed(folder)?.parameters == *alone, "a damaged state has changed the model");
+    Ok(())
+}
+
+fn small_column() -> Synthetic {
+    Synthetic { n_case: 4, duration_s: 2.0, channels: 4, sensor_depth_m: vec![0.0], ..Default::default() }
+}
+
+fn small_training() -> PretrainSettings {
+    PretrainSettings {
         latent: 2,
         channels: 4,
         encoder_hidden: vec![4],
@@ -254,8 +275,14 @@ fn trained(folder: &Path, is_sparse: bool) -> Result<()> {
         epochs: 1,
         polish_every: 1,
         ..Default::default()
-    };
-    let (model, _) = pretrain(&cases[..3], &cases[3..], &settings, 1, None, &Quiet)?;
+    }
+}
+
+/// A model that has learned next to nothing, and its encoder.
+fn trained(folder: &Path, is_sparse: bool) -> Result<()> {
+    fs::create_dir_all(folder).expect("made");
+    let (cases, observation) = small_column().cases(3);
+    let (model, _) = pretrain(&cases[..3], &cases[3..], &small_training(), 1, None, &Quiet)?;
     if is_sparse {
         let settings = DistillSettings { window: 5, hidden: vec![4], epochs: 1, ..Default::default() };
         let (encoder, _) = distill(&model, &cases[..3], &cases[3..], &settings, 1, None, &Quiet)?;
