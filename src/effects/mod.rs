@@ -53,15 +53,16 @@ pub use operator::{Operator, Place};
 pub use situation::Situation;
 pub use tolerances::{Tolerances, Tolerated, tolerated};
 
-/// Kinds that tests of other rooms name.
-#[cfg(test)]
+/// Kinds that other rooms name.
 pub mod kind {
-    use super::{clock_offset, layer_velocity, sensor_gain, small_strain_damping};
+    use super::{clock_offset, layer_velocity, nonlinearity, sensor_gain, small_strain_damping};
 
     /// Of the file of that name.
     pub const CLOCK_OFFSET: &str = clock_offset::ENTRY.name;
     /// Of the file of that name.
     pub const LAYER_VELOCITY: &str = layer_velocity::ENTRY.name;
+    /// Of the file of that name.
+    pub const NONLINEARITY: &str = nonlinearity::ENTRY.name;
     /// Of the file of that name.
     pub const SENSOR_GAIN: &str = sensor_gain::ENTRY.name;
     /// Of the file of that name.

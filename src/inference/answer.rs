@@ -16,7 +16,7 @@ use super::recalibration::recalibrated;
 use super::spread::{Spread, band_hz, residual_powers};
 use super::weights::Expected;
 use crate::diagnosis::{
-    Candidate, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, Verdict,
+    Candidate, DeclaredValue, DiagnoseSettings, Diagnosis, Estimate, Found, Problem, Replay, Rest, RestVerdict, Verdict,
 };
 use crate::effects::{self, Instance};
 use crate::error::Result;
@@ -131,6 +131,15 @@ impl<'a> Answer<'_, 'a> {
         let effects = if is_named { self.found(answer, &members, &claims.claimed) } else { Vec::new() };
         let tables: Vec<toml::Table> = effects.iter().map(|found| found.table.clone()).collect();
         let discretisation_share = self.forward.discretisation_share(&answer.model.tables(&answer.x));
+        // What is in the strength of an effect is told there; velocities are a profile, which has no gaps.
+        let is_told = |value: &DeclaredValue| {
+            let same = |found: &Found| {
+                let is_there = (&found.kind, &found.target) == (&value.kind, &value.target);
+                found.is_total && is_there && found.parameters.contains_key(&value.parameter)
+            };
+            value.vs_range_m.is_none() && effects.iter().any(same)
+        };
+        let declared = declared_values(answer, &self.groups()).into_iter().filter(|value| !is_told(value)).collect();
         let left_alone = effects::left_alone(&tables, &self.problem.array.profile);
         Diagnosis {
             verdict,
@@ -140,7 +149,7 @@ impl<'a> Answer<'_, 'a> {
             corrected_nuisances: self.recalibrated(answer, &claims),
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
-            declared: declared_values(answer, &self.groups()),
+            declared,
             notes: [rest.sentence()]
                 .into_iter()
                 .chain(discretisation_share.and_then(|share| self.not_converged(share)))

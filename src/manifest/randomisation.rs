@@ -1,6 +1,7 @@
 //! `[randomisation]`: a realisation of a site, its velocities, curves and damping drawn around what is declared.
 
 use super::{LayerSection, Site};
+use crate::effects::kind;
 use crate::numerics::random;
 use crate::ranges::{Range, Ranged, range};
 use rand::Rng;
@@ -173,10 +174,10 @@ impl Randomisation {
         };
         let mut drawn = Vec::new();
         if self.reference_strain_sd_ln > 0.0 {
-            drawn.push(effect("nonlinearity", "ln_gamma_ref", self.reference_strain_sd_ln * strain));
+            drawn.push(effect(kind::NONLINEARITY, "ln_gamma_ref", self.reference_strain_sd_ln * strain));
         }
         if self.damping_sd_ln > 0.0 {
-            drawn.push(effect("small_strain_damping", "multiplier", (self.damping_sd_ln * damping).exp()));
+            drawn.push(effect(kind::SMALL_STRAIN_DAMPING, "multiplier", (self.damping_sd_ln * damping).exp()));
         }
         // What is drawn is the ground that declared effects act on.
         site.effects.splice(0..0, drawn);
