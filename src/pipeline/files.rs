@@ -19,7 +19,7 @@ pub fn write_if_changed(path: &Path, bytes: &[u8]) -> Result<bool> {
     }
     let write = || -> std::io::Result<()> {
         let folder = path.parent().unwrap_or(Path::new("."));
-        fs::create_dir_all(folder)?;
+        make_dirs(folder)?;
         let mut file = tempfile::Builder::new().prefix(HALF_WRITTEN).permissions(readable()).tempfile_in(folder)?;
         file.write_all(bytes)?;
         file.as_file().sync_all()?;
@@ -52,6 +52,21 @@ pub(super) fn sync_tree(dir: &Path) -> std::io::Result<()> {
         }
     }
     sync_dir(dir)
+}
+
+/// Makes a folder and those that it is in, the name of each on the disk when this returns.
+pub(super) fn make_dirs(dir: &Path) -> std::io::Result<()> {
+    if dir.as_os_str().is_empty() || dir.is_dir() {
+        return Ok(());
+    }
+    let parent = dir.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    make_dirs(parent)?;
+    match fs::create_dir(dir) {
+        // Somebody else was at it.
+        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists && dir.is_dir() => {}
+        made => made?,
+    }
+    sync_dir(parent)
 }
 
 /// Fsyncs one folder, so that names made or renamed in it survive.

@@ -3,6 +3,7 @@
 //! The operating system holds the lock, so a killed owner releases it; the text in the file only says who it is. The file is
 //! removed on release, hence a new owner must look again whether the name still leads to the file it has locked.
 
+use super::files::make_dirs;
 use crate::error::{Context, Error, Result};
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -121,7 +122,7 @@ fn lock_file(path: &Path) -> Result<File> {
         return Err(Error::new(what).hint("remove it"));
     }
     if let Some(folder) = path.parent() {
-        fs::create_dir_all(folder).context(|| format!("cannot make the folder `{}`", folder.display()))?;
+        make_dirs(folder).context(|| format!("cannot make the folder `{}`", folder.display()))?;
     }
     OpenOptions::new().read(true).write(true).create(true).truncate(false).open(path).context(what)
 }

@@ -1,6 +1,6 @@
 //! The folder of one site: which entries its stages used last, and copies of the files people look at.
 
-use super::files::{copy_if_changed, remove_file, write_if_changed};
+use super::files::{copy_if_changed, make_dirs, remove_file, write_if_changed};
 use super::{Address, Graph, Lease, Node, Store, content_hash};
 use crate::error::{Context, Error, Result};
 use std::collections::BTreeMap;
@@ -62,7 +62,7 @@ impl Site<'_> {
             return Ok(false);
         }
         let what = || format!("cannot move `{}` aside", from.display());
-        to.parent().map_or(Ok(()), fs::create_dir_all).context(what)?;
+        to.parent().map_or(Ok(()), make_dirs).context(what)?;
         fs::rename(&from, &to).context(what)?;
         Ok(true)
     }

@@ -4,7 +4,7 @@
 //! a seal: the hash of these and of the parts) and `timing.toml`, the only file that may differ between two computations of the same
 //! entry. Entries are built in `<key>.partial` beside and renamed when everything is on the disk.
 
-use super::files::{list, remove_dir, sync_dir, sync_tree};
+use super::files::{list, make_dirs, remove_dir, sync_dir, sync_tree};
 use super::key::{Address, Parts, content_hash, file_hash, stored_hash};
 use super::lock::{Lease, Owner};
 use crate::error::{Context, Error, Result};
@@ -295,7 +295,7 @@ impl Store {
             let _ = held.lock();
         }
         remove_dir(&dir)?;
-        fs::create_dir_all(&dir).context(what)?;
+        dir.parent().map_or(Ok(()), make_dirs).and_then(|()| fs::create_dir(&dir)).context(what)?;
         let held = File::open(&dir).context(what)?;
         let _ = held.lock();
         Ok(Draft { dir, _held: held })

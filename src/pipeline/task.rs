@@ -116,7 +116,7 @@ impl Task<'_> {
     /// # Errors
     /// When it cannot be made.
     pub fn checkpoint_dir(&self) -> Result<&Path> {
-        std::fs::create_dir_all(&self.checkpoint_dir)
+        super::files::make_dirs(&self.checkpoint_dir)
             .context(|| format!("cannot make `{}`", self.checkpoint_dir.display()))?;
         Ok(&self.checkpoint_dir)
     }
