@@ -14,7 +14,7 @@ use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 use tree::files;
 
 const SITE: &str = "configs/smoke.toml";
@@ -269,6 +269,41 @@ fn damaged_files_are_used_by_nobody_and_are_mended() {
     }
     println!("damage: {tried} tried, {mended} mended by who reads it, the others found and mended by `verify`, 0 used");
     assert!(tried > 25);
+}
+
+#[test]
+fn a_clock_that_jumps_makes_nothing_old() {
+    let (dir, expected) = finished();
+    let runs_dir = dir.path().join("runs");
+    let years = |n: u64| Duration::from_secs(n * 365 * 86_400);
+    for jump in [SystemTime::UNIX_EPOCH + years(1), SystemTime::now() + years(100)] {
+        for name in files(&runs_dir).keys() {
+            let path = runs_dir.join(name);
+            fs::File::options().append(true).open(&path).and_then(|f| f.set_modified(jump)).expect("a time is set");
+            if name.ends_with("timing.toml") {
+                let text = fs::read_to_string(&path).expect("readable");
+                let since = jump.duration_since(SystemTime::UNIX_EPOCH).expect("after it").as_secs();
+                let of = |line: &str| match line.starts_with("done_unix_s") {
+                    true => format!("done_unix_s = {since}"),
+                    false => line.to_string(),
+                };
+                fs::write(&path, text.lines().map(of).collect::<Vec<_>>().join("\n")).expect("writable");
+            }
+        }
+        let told = run(&runs_dir, &["--json"]).stderr(Stdio::null()).output().expect("the program starts");
+        let told: serde_json::Value = serde_json::from_slice(&told.stdout).expect("JSON");
+        assert!(told["computed"].as_array().expect("a list").is_empty(), "{told}");
+        let (status, said) = said(&mut command(&[&["status", SITE], SMALL].concat(), &runs_dir));
+        assert_eq!(status, Some(0), "{said}");
+        // What a site uses is kept, however old it is.
+        let (status, said) = said_of_collection(&runs_dir);
+        assert_eq!(status, Some(0), "{said}");
+        assert_same(&lasting(&runs_dir), &expected, "a clock that jumped");
+    }
+}
+
+fn said_of_collection(runs_dir: &Path) -> (Option<i32>, String) {
+    said(&mut command(&["gc", "--yes", "--older-than", "1"], runs_dir))
 }
 
 #[test]

@@ -46,7 +46,9 @@ pub fn gc(arguments: &GcArguments, as_json: bool) -> Result<()> {
         let is_stage = |entry: &Address| STAGES.iter().any(|s| entry.folder.starts_with(&format!("{}-v", s.kind())));
         unused.retain(|unused| is_stage(&unused.entry));
     }
-    unused.retain(|unused| unused.age_s.is_none_or(|age_s| age_s / A_DAY_S >= arguments.older_than));
+    // What the clock has in the future may be of a minute ago.
+    let is_old = |age_s: u64| age_s / A_DAY_S >= arguments.older_than;
+    unused.retain(|unused| unused.age_s.map_or(arguments.older_than == 0, is_old));
     let megabytes = |bytes: u64| format!("{:.1} MB", bytes as f64 / 1e6);
     let total = megabytes(unused.iter().map(|r| r.bytes).sum());
     if !as_json {
