@@ -2,7 +2,7 @@
 
 use crate::error::{Context, Result};
 use std::fs::{self, File};
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::path::Path;
 
 /// How the name of a file begins that is not whole yet.
@@ -63,7 +63,8 @@ pub(super) fn make_dirs(dir: &Path) -> std::io::Result<()> {
     make_dirs(parent)?;
     match fs::create_dir(dir) {
         // Somebody else was at it.
-        Err(error) if error.kind() == std::io::ErrorKind::AlreadyExists && dir.is_dir() => {}
+        Err(error) if error.kind() == ErrorKind::AlreadyExists && dir.is_dir() => {}
+        Err(error) if error.kind() == ErrorKind::AlreadyExists => return Err(ErrorKind::NotADirectory.into()),
         made => made?,
     }
     sync_dir(parent)
