@@ -242,6 +242,11 @@ impl Instance {
         other
     }
 
+    /// Whether it has something to act on in a column of `profile` at these coordinates.
+    pub fn acts_on(&self, profile: &Profile, coordinates: &[f64]) -> bool {
+        super::build(&self.at(coordinates)).is_ok_and(|effect| effect.refusal(profile).is_none())
+    }
+
     /// Whether it is something that a diagnosis names.
     pub fn is_named(&self) -> bool {
         self.class() != Class::Field

@@ -140,7 +140,7 @@ pub fn tolerated(array: &Array, tolerances: &Tolerances) -> Vec<Tolerated> {
     let acts = |t: &Tolerated| {
         let zero = t.instance.zero().unwrap_or_default();
         let moved: Vec<f64> = zero.iter().map(|z| z + t.deviation).collect();
-        super::build(&t.instance.at(&moved)).is_ok_and(|effect| effect.refusal(&array.profile).is_none())
+        t.instance.acts_on(&array.profile, &moved)
     };
     let mut all: Vec<Tolerated> = INACCURACIES.iter().flat_map(of).filter(|t| t.deviation > 0.0 && acts(t)).collect();
     all.sort_by_key(sensor);

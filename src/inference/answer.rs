@@ -22,7 +22,6 @@ use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
-use claims::Claims;
 use declared::declared_values;
 use kinds::{Masses, alternatives, besides, has_all, is_taken, known_kinds};
 use residuals::{Residuals, closest_to_mean};
@@ -146,7 +145,7 @@ impl<'a> Answer<'_, 'a> {
             effects,
             ambiguity,
             nuisances: plain.model.declared.tables(&plain.x),
-            corrected_nuisances: self.recalibrated(answer, &claims),
+            corrected_nuisances: claims.recalibrated(answer),
             candidates: self.candidates(),
             explained_share: is_named.then(|| self.explained_share(answer)),
             declared,
@@ -332,30 +331,7 @@ impl<'a> Answer<'_, 'a> {
         let odds = |other: &Fit<'_>| (self.competition.log_posterior(other) - highest).exp();
         let all = self.competition.fits.iter().chain(&self.competition.modes);
         let close = all.filter(|other| odds(other) > NOTHING);
-        close.map(|other| Member::new(other, odds(other), &groups, |effect| self.is_added(effect))).collect()
-    }
-
-    /// Effect `index` of `fit` at `x` together with what declared values do of the same, in the coordinate of its only parameter.
-    fn total(&self, fit: &Fit<'a>, x: &[f64], index: usize) -> Option<f64> {
-        let total = fit.model.total(x, index).filter(|_| self.is_added(&fit.model.effects[index]));
-        total.map(|total| total.coordinate)
-    }
-
-    /// What of `fit` is recalibrated beside what is claimed: declared values within their tolerances that are not part of that, and the
-    /// effects besides.
-    fn recalibrated(&self, fit: &Fit<'a>, claims: &Claims) -> Vec<toml::Table> {
-        let (declared, effects) = (fit.model.declared, &fit.model.effects);
-        let has_total = |index: &&usize| self.total(fit, &fit.x, **index).is_some();
-        let whole: Vec<&Instance> = claims.claimed.iter().filter(has_total).map(|index| &effects[*index]).collect();
-        let tables = declared.tables_beside(&fit.x[..declared.len()], &whole).into_iter();
-        tables.chain(claims.besides.iter().map(|index| fit.model.effect_table(&fit.x, *index))).collect()
-    }
-
-    /// Whether what declared values do of `effect` and that itself add up: less of nothing is refused, and what stands in for it is on top.
-    fn is_added(&self, effect: &Instance) -> bool {
-        let zero = effect.zero().unwrap_or_default();
-        let less: Vec<f64> = zero.iter().zip(&effect.free).map(|(zero, free)| zero - free.size).collect();
-        effects::build(&effect.at(&less)).is_ok_and(|less| less.refusal(&self.problem.array.profile).is_none())
+        close.map(|other| Member::new(other, odds(other), &groups)).collect()
     }
 
     /// Those effects of `fit` that are `claimed`, with their intervals: where declared values do the same, what is off in all.
@@ -364,7 +340,8 @@ impl<'a> Answer<'_, 'a> {
         let of = |index: usize| {
             let instance = &fit.model.effects[index];
             let (start, intervals) = (fit.model.start(index), averaged(fit, index, members));
-            let total = |x: &[f64]| self.total(fit, x, index);
+            let total = |x: &[f64]| fit.model.total(x, index).map(|total| total.coordinate);
+            let own = total(&fit.x);
             let at = |x: &[f64], i: usize| total(x).unwrap_or(x[start + i]);
             let parameters = instance.free.iter().enumerate().map(|(i, free)| {
                 let (x, p) = (at(&fit.x, i), free.parameter);
@@ -378,9 +355,9 @@ impl<'a> Answer<'_, 'a> {
                 kind: instance.kind.to_string(),
                 target: instance.place(),
                 class: instance.class(),
-                table: total(&fit.x).map_or_else(|| fit.model.effect_table(&fit.x, index), |x| instance.at(&[x])),
+                table: own.map_or_else(|| fit.model.effect_table(&fit.x, index), |x| instance.at(&[x])),
                 parameters: parameters.collect(),
-                is_total: total(&fit.x).is_some(),
+                is_total: own.is_some(),
                 gain: self.competition.log_posterior(fit) - self.competition.log_posterior(&self.competition.fits[0]),
                 validation_gain: self.validation_cost(&self.competition.fits[0]) - self.validation_cost(fit),
                 p_value: self.competition.p_value(fit, index),

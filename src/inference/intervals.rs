@@ -32,17 +32,17 @@ impl<'c, 'a> Member<'c, 'a> {
         [self.fit.x[at], self.half_widths[at]]
     }
 
-    /// Intervals of `fit` by events, which are `groups`; `is_added` says of which effects declared values add to them.
-    pub fn new(fit: &'c Fit<'a>, odds: f64, groups: &[usize], is_added: impl Fn(&Instance) -> bool) -> Self {
-        let total = |index: usize| fit.model.total(&fit.x, index).filter(|_| is_added(&fit.model.effects[index]));
+    /// Intervals of `fit` by events, which are `groups`.
+    pub fn new(fit: &'c Fit<'a>, odds: f64, groups: &[usize]) -> Self {
         let of = |total: Total| [total.coordinate, half_widths_along(fit, groups, &[total.slopes])[0]];
-        let totals = (0..fit.model.effects.len()).map(|index| total(index).map(of)).collect();
+        let totals = (0..fit.model.effects.len()).map(|index| fit.model.total(&fit.x, index).map(of)).collect();
         Self { fit, odds, half_widths: half_widths(fit, groups), totals }
     }
 }
 
-/// 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`, or of what is off in all. What else may hold widens them: every member that has
-/// that effect counts by its probability, here, and elsewhere in the soil; what another sensor does is a number of its own.
+/// 95 % intervals of the coordinates of effect `index` of `fit`, one of `members`, or of what is off in all. What else may hold widens them:
+/// every member that has that effect counts by its probability, here, and elsewhere in the soil; what another sensor does is a number of its
+/// own.
 ///
 /// ```text
 /// Σ p_m Φ((q − x_m)/s_m) = 0.025 and 0.975, Σ p_m = 1                     (1)

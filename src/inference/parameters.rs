@@ -55,12 +55,17 @@ pub struct Tolerance {
     beside: Vec<(&'static str, f64)>,
     /// Smallest and largest coordinate.
     bounds: [f64; 2],
+    /// Whether what it does and the effect itself add up: where less of nothing is refused, what stands in for it is on top.
+    adds_up: bool,
 }
 
 impl Tolerance {
     /// That of what is declared, in a column of `profile`.
     fn of(Tolerated { instance, deviation, damping_ratio, .. }: Tolerated, profile: &Profile) -> Result<Self> {
-        let own = Self::new(instance, deviation);
+        let zero = instance.zero().unwrap_or_default();
+        let less: Vec<f64> = zero.iter().zip(&instance.free).map(|(zero, free)| zero - free.size).collect();
+        let adds_up = instance.acts_on(profile, &less);
+        let own = Self { adds_up, ..Self::new(instance, deviation) };
         if damping_ratio == 0.0 {
             return Ok(own);
         }
@@ -69,7 +74,7 @@ impl Tolerance {
     }
 
     fn new(instance: Instance, deviation: f64) -> Self {
-        Self { instance, deviation, absolute: 0.0, beside: Vec::new(), bounds: [-FARTHEST, FARTHEST] }
+        Self { instance, deviation, absolute: 0.0, beside: Vec::new(), bounds: [-FARTHEST, FARTHEST], adds_up: true }
     }
 
     /// `[[effects]]` table `z` prior standard deviations from what is declared.
@@ -93,6 +98,12 @@ impl Tolerance {
         let (a, b) = (self.deviation, self.absolute);
         let moved = if b > 0.0 { (b / a * (a * z + (a / b).asinh()).sinh()).max(LEAST_DAMPING).ln() } else { a * z };
         p.coordinate(p.zero.unwrap_or(0.0)) + moved
+    }
+
+    /// How far `z` goes for one unit of that coordinate.
+    fn reach(&self, z: f64) -> f64 {
+        let ends = [0.5, -0.5].map(|h| self.coordinate(z + h * STEP));
+        STEP / (ends[0] - ends[1])
     }
 }
 
@@ -221,7 +232,7 @@ impl Declared {
     }
 
     /// How far declared values at `z` are moved in the only parameter of `effect`, and how that changes with each of them; none where no
-    /// declared value does the same.
+    /// declared value does the same, or what it does is not added to the effect.
     fn moved(&self, effect: &Instance, z: &[f64]) -> Option<Total> {
         let mut slopes = vec![0.0; self.len()];
         if let Some(rows) = self.same_range(effect) {
@@ -229,10 +240,9 @@ impl Declared {
             (0..self.n_mode()).for_each(|k| slopes[k] = self.mean_over(&rows, |row| self.modes[row][k]));
             return Some(Total { coordinate: self.mean_over(&rows, |row| factors[row]), slopes });
         }
-        let i = self.same_other(effect)?;
+        let i = self.same_other(effect).filter(|i| self.others[*i].adds_up)?;
         let (at, own) = (self.n_mode() + i, &self.others[i]);
-        let ends = [0.5, -0.5].map(|h| own.coordinate(z[at] + h * STEP));
-        slopes[at] = (ends[0] - ends[1]) / STEP;
+        slopes[at] = 1.0 / own.reach(z[at]);
         Some(Total { coordinate: own.coordinate(z[at]) - own.coordinate(0.0), slopes })
     }
 
@@ -242,8 +252,7 @@ impl Declared {
         let Some(rows) = self.same_range(effect) else {
             let Some(i) = self.same_other(effect) else { return Vec::new() };
             let at = self.n_mode() + i;
-            let ends = [0.5, -0.5].map(|h| self.others[i].coordinate(z[at] + h * STEP));
-            return vec![(at, STEP / (ends[0] - ends[1]))];
+            return vec![(at, self.others[i].reach(z[at]))];
         };
         // Modes that together move the layer and nothing else, if there are any.
         let inside: Vec<f64> = (0..self.modes.len()).map(|row| f64::from(u8::from(rows.contains(&row)))).collect();

@@ -150,27 +150,17 @@ impl Randomisation {
         let (mut top_m, mut above): (f64, Option<[f64; 2]>) = (0.0, None);
         for layer in &mut site.site.layer {
             let middle_m = top_m + 0.5 * layer.thickness_m;
-            let (mean, rho) = above.map_or((0.0, 0.0), |[z, m]| {
-                let rho = variation.correlation([m, middle_m]);
-                (rho * z, rho)
-            });
-            let z = self.drawn(&mut stream, mean, (1.0 - rho * rho).max(0.0).sqrt());
+            let [above_z, rho] = above.map_or([0.0; 2], |[z, m]| [z, variation.correlation([m, middle_m])]);
+            let z = self.drawn(&mut stream, above_z, rho);
             layer.vs_m_s *= (sd_ln * z).exp();
             above = Some([z, middle_m]);
             top_m += layer.thickness_m;
         }
         let mut stream = random::stream(self.seed, "curves of a realisation");
-        let strain = self.drawn(&mut stream, 0.0, 1.0);
-        let damping = self.drawn(
-            &mut stream,
-            STRAIN_AND_DAMPING * strain,
-            (1.0 - STRAIN_AND_DAMPING * STRAIN_AND_DAMPING).sqrt(),
-        );
+        let strain = self.drawn(&mut stream, 0.0, 0.0);
+        let damping = self.drawn(&mut stream, strain, STRAIN_AND_DAMPING);
         let effect = |kind: &str, parameter: &str, value: f64| -> Table {
-            [("kind", Value::from(kind)), (parameter, value.into())]
-                .map(|(k, v)| (k.to_string(), v))
-                .into_iter()
-                .collect()
+            Table::from_iter([("kind".to_string(), Value::from(kind)), (parameter.to_string(), value.into())])
         };
         let mut drawn = Vec::new();
         if self.reference_strain_sd_ln > 0.0 {
@@ -184,11 +174,11 @@ impl Randomisation {
         site
     }
 
-    /// A normal number, as far out as is admissible.
-    fn drawn(&self, stream: &mut impl Rng, mean: f64, sd: f64) -> f64 {
+    /// A standard normal number with the correlation `rho` to the number `other`, as far out as is admissible.
+    fn drawn(&self, stream: &mut impl Rng, other: f64, rho: f64) -> f64 {
         loop {
             let normal: f64 = StandardNormal.sample(stream);
-            let z = mean + sd * normal;
+            let z = rho * other + (1.0 - rho * rho).max(0.0).sqrt() * normal;
             if z.abs() <= self.truncation_sd {
                 return z;
             }

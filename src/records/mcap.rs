@@ -139,7 +139,6 @@ impl Fields<'_> {
 /// Refuses a file whose chunks say that they expand to more than a file of records can hold: a few compressed bytes may stand for
 /// gigabytes.
 fn check_chunks(bytes: &[u8]) -> Result<()> {
-    let number = |bytes: &[u8]| bytes.first_chunk().map(|b| u64::from_le_bytes(*b));
     let mut rest = bytes.get(MAGIC.len()..).unwrap_or_default();
     let mut expanded: u64 = 0;
     // Each record is an opcode, its length, and that many bytes; those of a chunk begin with two times, its size, a checksum, a text.
@@ -171,9 +170,14 @@ fn check_chunks(bytes: &[u8]) -> Result<()> {
     Ok(())
 }
 
+/// The number that `bytes` begin with.
+fn number(bytes: &[u8]) -> Option<u64> {
+    bytes.first_chunk().map(|b| u64::from_le_bytes(*b))
+}
+
 /// Whether `bytes` are records one after the other, each an opcode, its length, and that many bytes.
 fn holds_whole_records(mut bytes: &[u8]) -> bool {
-    while let Some(length) = bytes.get(1..).and_then(|b| b.first_chunk()).map(|b| u64::from_le_bytes(*b)) {
+    while let Some(length) = bytes.get(1..).and_then(number) {
         let Some(rest) = usize::try_from(length).ok().and_then(|n| bytes[9..].get(n..)) else { return false };
         bytes = rest;
     }

@@ -64,6 +64,16 @@ impl Claims {
         Self { claimed, besides }
     }
 
+    /// What of `fit` is recalibrated beside what is claimed: declared values within their tolerances that are not part of that, and the
+    /// effects besides.
+    pub fn recalibrated(&self, fit: &Fit<'_>) -> Vec<toml::Table> {
+        let (declared, effects) = (fit.model.declared, &fit.model.effects);
+        let has_total = |index: &&usize| fit.model.total(&fit.x, **index).is_some();
+        let whole: Vec<&Instance> = self.claimed.iter().filter(has_total).map(|index| &effects[*index]).collect();
+        let tables = declared.tables_beside(&fit.x[..declared.len()], &whole).into_iter();
+        tables.chain(self.besides.iter().map(|index| fit.model.effect_table(&fit.x, *index))).collect()
+    }
+
     /// The effects of `fit` besides in a sentence.
     pub fn not_left_out(&self, fit: &Fit<'_>) -> Option<String> {
         let own = self.besides.iter().map(|index| &fit.model.effects[*index].kind);

@@ -17,7 +17,7 @@ pub fn acting(array: &Array) -> Vec<Instance> {
 pub fn acts(array: &Array, instance: &Instance) -> bool {
     let zero = instance.zero();
     let at = zero.map_or_else(Vec::new, |zero| away(instance, &zero, NODES[0], 1.0).unwrap_or(instance.start()));
-    effects::build(&instance.at(&at)).is_ok_and(|e| e.refusal(&array.profile).is_none())
+    instance.acts_on(&array.profile, &at)
 }
 
 /// ln of the prior of an effect at one of its places among `all` of them, by kind: kinds are as probable as each other, and so are the

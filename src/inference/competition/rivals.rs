@@ -113,7 +113,7 @@ mod tests {
     fn a_place_next_to_that_of_an_effect_is_always_a_rival() {
         let problem = problem(&Truth { events: 3, ..Truth::default() });
         in_competition(&problem, &Nonlinear(&problem), as_declared, |competition| {
-            let depth_m = |i: &Instance| i.target["depth_m"].as_float().unwrap();
+            let depth_m = |i: &Instance| i.depth_m().unwrap();
             let slips: Vec<Instance> =
                 competition.instances.iter().filter(|i| i.kind == "interface_slip").cloned().collect();
             assert!(slips.len() > 6 && slips.windows(2).all(|pair| depth_m(&pair[0]) < depth_m(&pair[1])));
