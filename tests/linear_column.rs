@@ -172,10 +172,15 @@ fn what_a_linear_column_has_undeclared_is_named() {
     let [above, below] = [3.0, 6.0].map(|thickness_m| Layer { thickness_m, ..LAYERS[1] });
     let [first, _, last] = LAYERS;
     let seam = Column { layers: vec![first, above, soft, below, last], damping_ratio: 0.01, size_m_s2: WEAK_M_S2 };
-    for (column, kind) in [(thrice, "small_strain_damping"), (seam, "thin_seam")] {
+    for (column, kind, truth) in [(thrice, "small_strain_damping", Some(3.0)), (seam, "thin_seam", None)] {
         let found = found(&column, HYPERBOLIC, 1);
         println!("{kind}: {} {}", found["verdict"], found["effects"]);
         let kinds: Vec<_> = found["effects"].as_array().expect("effects").iter().map(|e| e["kind"].clone()).collect();
         assert_eq!((&found["verdict"], kinds), (&"known".into(), vec![kind.into()]), "{}", found["effects"]);
+        if let Some(truth) = truth {
+            let interval = &found["effects"][0]["parameters"]["multiplier"]["ci95"];
+            let end = |i: usize| interval[i].as_f64().expect("an interval");
+            assert!((end(0)..=end(1)).contains(&truth), "{interval}");
+        }
     }
 }

@@ -119,10 +119,10 @@ fn has_memory_between(profile: &Profile, [top_m, bottom_m]: [f64; 2]) -> bool {
 /// Adds Rayleigh damping to the column, and makes the small-strain damping of a depth range a power of the frequency.
 ///
 /// ```text
-/// ξ(f) = ξ₀ m (f/f_0)ⁿ + α / (4 π f) + β π f + b f / f_r,   f_0 = 3 Hz, f_r = 5 Hz                  (1)
+/// ξ(f) = ξ₀ (1 − r) (f/f_0)ⁿ + α / (4 π f) + β π f + b f / f_r,   f_0 = 3 Hz, f_r = 5 Hz            (1)
 /// ```
 ///
-/// ξ₀ (f/f_0)ⁿ is that of laws whose damping is memory of their stress (`elastic`, `hyperbolic`); without m and n it is the
+/// ξ₀ (f/f_0)ⁿ is that of laws whose damping is memory of their stress (`elastic`, `hyperbolic`); without r and n it is the
 /// declared one, which does not depend on frequency unless the law declares an exponent, to which n is added. Rayleigh
 /// damping comes on top of any law.
 ///
@@ -132,13 +132,13 @@ fn has_memory_between(profile: &Profile, [top_m, bottom_m]: [f64; 2]) -> bool {
 /// | β      | `beta_s`    | s    | 0…0.05 |
 /// | b      | `slope`     | –    | 0…0.5  |
 /// | n      | `exponent`  | –    | −0.6…0.6 |
-/// | ln m   | `ln_ratio`  | –    | −3…3   |
+/// | r      | `replaced`  | –    | 0…1    |
 /// | ln of a factor on the frequencies at which Rayleigh damping meets its ratios, declared damping included | `ln_shift` | – | −3…3 |
-/// | range of m and n | `top_m`, `bottom_m` | m | ≥ 0 |
+/// | range of r and n | `top_m`, `bottom_m` | m | ≥ 0 |
 ///
 /// b is β by another name: the damping ratio it adds at f_r.
 ///
-/// Limits: α, β and b are the same for every layer; m and n are refused where no layer in the range has such damping, and `ln_shift` where
+/// Limits: α, β and b are the same for every layer; r and n are refused where no layer in the range has such damping, and `ln_shift` where
 /// the column has no Rayleigh damping.
 /// Check:  the column's transfer function with Rayleigh damping against the exact one; that of memory at its peaks.
 /// Source: Tao and Rathje (2019) on damping needed at four vertical arrays.
@@ -154,13 +154,13 @@ struct FrequencyDependentDamping {
     /// Exponent n of small-strain damping.
     #[serde(default)]
     exponent: f64,
-    /// ln of the factor m on its ratio.
+    /// Share r of its ratio that Rayleigh damping takes the place of.
     #[serde(default)]
-    ln_ratio: f64,
+    replaced: f64,
     /// ln of the factor on the frequencies at which Rayleigh damping meets its ratios.
     #[serde(default)]
     ln_shift: f64,
-    /// Top of the range of exponent and ratio, m.
+    /// Top of the range of exponent and share, m.
     #[serde(default)]
     top_m: f64,
     /// Bottom of that range, m; the base where it is absent.
@@ -178,7 +178,7 @@ impl FrequencyDependentDamping {
             ("beta_s", self.beta_s, 0.0, 0.05, "s"),
             ("slope", self.slope, 0.0, 0.5, ""),
             ("exponent", self.exponent, -EXPONENT, EXPONENT, ""),
-            ("ln_ratio", self.ln_ratio, -3.0, 3.0, ""),
+            ("replaced", self.replaced, 0.0, 1.0, ""),
             ("ln_shift", self.ln_shift, -3.0, 3.0, ""),
         ])?;
         super::depth_range(self.top_m, self.bottom_m)?;
@@ -193,7 +193,7 @@ impl Effect for FrequencyDependentDamping {
         if self.ln_shift != 0.0 && own.iter().chain(&declared).all(|c| *c == 0.0) {
             return Some("`ln_shift` shifts Rayleigh damping, and the column has none".into());
         }
-        if self.exponent == 0.0 && self.ln_ratio == 0.0 {
+        if self.exponent == 0.0 && self.replaced == 0.0 {
             return None;
         }
         let is_met = has_memory_between(profile, [self.top_m, self.bottom_m]);
@@ -202,14 +202,14 @@ impl Effect for FrequencyDependentDamping {
     }
 
     fn edit(&self, profile: &mut Profile, _: &Situation) {
-        if self.exponent != 0.0 || self.ln_ratio != 0.0 {
+        if self.exponent != 0.0 || self.replaced != 0.0 {
             for layer in layers::between(profile, self.top_m, self.bottom_m).filter(|layer| has_memory(layer)) {
                 let exponent = layers::number(layer, "damping_exponent", 0.0) + self.exponent;
                 layers::set(layer, "damping_exponent", exponent.clamp(-EXPONENT, EXPONENT));
-                if self.ln_ratio != 0.0 && layer.law_kind == "hyperbolic" {
-                    layers::scale(layer, "damping_multiplier", 1.0, self.ln_ratio.exp());
-                } else if self.ln_ratio != 0.0 {
-                    layers::scale(layer, "damping_ratio", 0.0, self.ln_ratio.exp());
+                if self.replaced != 0.0 && layer.law_kind == "hyperbolic" {
+                    layers::scale(layer, "damping_multiplier", 1.0, 1.0 - self.replaced);
+                } else if self.replaced != 0.0 {
+                    layers::scale(layer, "damping_ratio", 0.0, 1.0 - self.replaced);
                 }
             }
         }
@@ -280,11 +280,11 @@ mod tests {
     fn a_power_of_the_frequency_is_set_in_its_range_for_laws_that_have_one() {
         let build = |table: &str| (ENTRY.build)(table.parse().expect("TOML")).expect("in range");
         let mut profile = layers::tests::profile("hyperbolic");
-        build("exponent = 0.3\nln_ratio = 0.5\ntop_m = 2.0").edit(&mut profile, &Situation::default());
+        build("exponent = 0.3\nreplaced = 0.4\ntop_m = 2.0").edit(&mut profile, &Situation::default());
         let declared = layers::tests::profile("hyperbolic");
         assert_eq!(profile.layers[0], declared.layers[0]);
         assert_eq!(layers::number(&profile.layers[1], "damping_exponent", 0.0), 0.3);
-        assert_eq!(layers::number(&profile.layers[1], "damping_multiplier", 1.0), 0.5f64.exp());
+        assert_eq!(layers::number(&profile.layers[1], "damping_multiplier", 1.0), 0.6);
         let refused = |kind: &str| build("exponent = 0.3").refusal(&layers::tests::profile(kind)).is_some();
         assert_eq!(["hyperbolic", "elastic", "sanisand"].map(refused), [false, true, true]);
     }

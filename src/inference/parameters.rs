@@ -4,7 +4,7 @@
 //! |----------------------------------|---------------------------|--------------------------------------------------|
 //! | depth modes of ln Vs             | standard deviations       | N(0, 1), from `tolerances.vs_ln` layer by layer and [`super::depth_modes::COMMON_VELOCITY_LN`] for all together |
 //! | small-strain damping, depth of boundaries, reference strain, shape of curves; gain, clock, depth, azimuth of a sensor | standard deviations | N(0, 1) of what [`effects::tolerated`] has |
-//! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and all, [`rayleigh`] |
+//! | share of Rayleigh damping in place of one that laws remember | – | N(0, 1) between nothing and [`MOST_REPLACED`], [`rayleigh`] |
 //! | frequencies at which it meets the declared ratio | standard deviations | N(0, 1), [`SHIFT_LN`] |
 //! | share of what strays that is of another origin | –   | N(0, [`ADDED_SHARE`]) between nothing and all    |
 //! | a modulus without dispersion | standard deviations | N(0, 1) (`convention`)                             |
@@ -28,8 +28,8 @@ const TWICE: f64 = 2.0;
 pub const WIDE: f64 = 1.5;
 /// Least share of a declared damping.
 const LEAST_DAMPING: f64 = 0.05;
-/// ln of what is left of the damping that laws remember where all of it became Rayleigh damping; none of it cannot be had.
-const LEFT_LN: f64 = -2.0;
+/// Most of the damping that laws remember that Rayleigh damping takes the place of: what effects change of it, none of it would not have.
+const MOST_REPLACED: f64 = 0.95;
 /// Prior standard deviation of the ln of the frequencies at which Rayleigh damping in its place meets the declared ratio: programs ask for
 /// it at multiples of the fundamental frequency or at the ends of a band.
 const SHIFT_LN: f64 = 0.5;
@@ -442,7 +442,7 @@ fn damping_unit(multiplier: &Instance, profile: &Profile) -> Result<f64> {
 }
 
 /// Rayleigh damping in place of the damping that laws remember and that does not depend on frequency, as other programs have it for the
-/// same ratio: how much of it, at most all, and where it meets that ratio, at first at the fundamental frequency of the column and at five
+/// same ratio: how much of it and where it meets that ratio, at first at the fundamental frequency of the column and at five
 /// times that. None where no law has such damping.
 fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
     let alone = Profile { rayleigh: Rayleigh::default(), ..profile.clone() };
@@ -459,8 +459,8 @@ fn rayleigh(profile: &Profile) -> Result<Vec<Tolerance>> {
         Ok(Tolerance::new(instance, deviation))
     };
     let share = Tolerance {
-        beside: vec![("beta_s", asked.beta_s), ("ln_ratio", LEFT_LN)],
-        bounds: [0.0, 1.0],
+        beside: vec![("beta_s", asked.beta_s), ("replaced", 1.0)],
+        bounds: [0.0, MOST_REPLACED],
         ..of("alpha_1_s", asked.alpha_1_s)?
     };
     let has_memory = effects::build(&share.table(1.0))?.refusal(profile).is_none();
@@ -483,15 +483,26 @@ mod tests {
             Column::new(profile, &Analysis::default()).unwrap().small_strain_damping_ratio(f)
         };
         let tolerances = rayleigh(&profile).unwrap();
-        // What is left of the memory is on top of it.
         let moved = (2.5 * SHIFT_LN.exp(), 12.5 * SHIFT_LN.exp());
-        for (count, f, share) in [(1, 2.5, 1.0), (1, 12.5, 1.0), (1, 5.6, 0.75), (2, moved.0, 1.0), (2, moved.1, 1.0)] {
+        let at = |of: f64, shift: f64, f: f64| {
             let mut edited = profile.clone();
-            for tolerance in &tolerances[..count] {
-                effects::build(&tolerance.table(1.0)).unwrap().edit(&mut edited, &Situation::default());
+            for (tolerance, z) in tolerances.iter().zip([of, shift]).filter(|(_, z)| *z != 0.0) {
+                effects::build(&tolerance.table(z)).unwrap().edit(&mut edited, &Situation::default());
             }
-            let found = ratio(&edited, f) / ratio(&profile, f);
-            assert!((found - share - LEFT_LN.exp()).abs() < 0.03, "{f} Hz: {found}");
+            ratio(&edited, f) / ratio(&profile, f)
+        };
+        // A part of it keeps the ratio where all of it does.
+        for (of, shift, f, share) in [
+            (1.0, 0.0, 2.5, 1.0),
+            (0.4, 0.0, 2.5, 1.0),
+            (1.0, 0.0, 12.5, 1.0),
+            (1.0, 0.0, 5.6, 0.75),
+            (0.4, 0.0, 5.6, 0.9),
+            (1.0, 1.0, moved.0, 1.0),
+            (1.0, 1.0, moved.1, 1.0),
+        ] {
+            let found = at(of, shift, f);
+            assert!((found - share).abs() < 0.03, "{of} of it at {f} Hz: {found}");
         }
         let hysteretic = Profile::plain(vec![Layer::plain("sanisand", 20.0, 1900.0, 200.0)]);
         assert!(rayleigh(&hysteretic).unwrap().is_empty());

@@ -24,7 +24,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        86
+        87
     }
 
     fn reads(&self) -> &'static [&'static str] {
