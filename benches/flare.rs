@@ -6,7 +6,7 @@
 
 use faer::linalg::matmul::matmul;
 use faer::{Accum, Mat, Par};
-use flare_pipe::flare::{Case, PretrainSettings, pretrain};
+use flare_pipe::flare::{Case, PretrainSettings, Training, pretrain};
 use flare_pipe::numerics::random::stream;
 use flare_pipe::progress::Quiet;
 use rand::RngExt;
@@ -33,7 +33,7 @@ fn cases(n_case: usize, n_step: usize, channels: usize) -> Vec<Case> {
                     .flat_map(|t| (0..channels).map(move |c| (t, c)))
                     .map(|(t, c)| channel(t, c))
                     .collect(),
-                sparse: vec![0.0; n_step],
+                sparse: vec![0.0; n_step].into(),
             }
         })
         .collect()
@@ -46,7 +46,7 @@ fn epoch_s(cases: &[Case], settings: &PretrainSettings, threads: usize) -> (f64,
     let time = |epochs: usize| {
         let settings = PretrainSettings { epochs, ..settings.clone() };
         let (start, busy) = (Instant::now(), processor_s());
-        pool.install(|| pretrain(cases, &validation, &settings, 0, None, &Quiet)).expect("trains");
+        pool.install(|| pretrain(cases, &validation, &settings, 0, &Training::in_memory(&Quiet))).expect("trains");
         (start.elapsed().as_secs_f64(), processor_s() - busy)
     };
     let once = || {

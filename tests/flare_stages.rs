@@ -7,8 +7,9 @@ mod synthetic_column;
 
 use flare_pipe::flare::{
     CalibrateSettings, Calibration, Case, Data, DistillSettings, Event, Normalisation, Observation, PretrainSettings,
-    Solver, SourceModel, SparseEncoder, calibrate, distill, predict, pretrain, reconstruct,
+    Solver, SourceModel, SparseEncoder, Training, calibrate, distill, predict, pretrain, reconstruct,
 };
+use flare_pipe::numerics::spill::{Spill, Values};
 use flare_pipe::progress::{Progress, Quiet};
 use python_with::python;
 use std::panic::AssertUnwindSafe;
@@ -55,10 +56,11 @@ fn trained() -> &'static Trained {
     TRAINED.get_or_init(|| {
         let (cases, observation) = column().cases(N_TRAIN);
         let (train, validation) = cases.split_at(N_TRAIN);
-        let (model, _) = pretrain(train, validation, &settings(), 1, None, &Quiet).expect("pretrains");
+        let (model, _) = pretrain(train, validation, &settings(), 1, &Training::in_memory(&Quiet)).expect("pretrains");
         let distill_settings =
             DistillSettings { window: 5, hidden: vec![32], epochs: 60, batch: 64, ..Default::default() };
-        let (encoder, _) = distill(&model, train, validation, &distill_settings, 1, None, &Quiet).expect("distils");
+        let (encoder, _) =
+            distill(&model, train, validation, &distill_settings, 1, &Training::in_memory(&Quiet)).expect("distils");
         Trained { cases, observation, model, encoder }
     })
 }
@@ -98,7 +100,7 @@ fn records_of_another_column_are_predicted_better_after_calibration() {
     let events: Vec<Event> = other
         .cases_like(&t.observation, column().input_std(N_TRAIN))
         .into_iter()
-        .map(|c| Event { id: c.id, u: c.u, u_half: c.u_half, sparse: c.sparse })
+        .map(|c| Event { id: c.id, u: c.u.to_vec(), u_half: c.u_half.to_vec(), sparse: c.sparse.to_vec() })
         .collect();
     let settings = CalibrateSettings::default();
     let data = Data { simulations: &t.cases[..N_TRAIN], train: &events[..5], validation: &events[5..7] };
@@ -133,13 +135,18 @@ fn validation_motions_twice_as_strong_and_ten_times_as_long_stay_bounded() {
     let mut model = t.model.clone(); // as the stage saves and judges it
     model.limit_softly(&t.cases[..N_TRAIN], settings().limit_factor);
     for case in &t.cases[N_TRAIN..] {
-        let strong = |x: &[f32]| x.iter().map(|v| 2.0 * v).collect::<Vec<f32>>();
+        let strong = |x: &[f32]| x.iter().map(|v| 2.0 * v).collect();
         let doubled =
             Case { u: strong(&case.u), u_half: strong(&case.u_half), dense: strong(&case.dense), ..case.clone() };
         assert!(model.roll_out(&doubled).expect("bounded").iter().all(|v| v.abs() < 1e3));
-        let mut u_half = [case.u_half.as_slice(), &[0.0]].concat().repeat(10);
+        let mut u_half = [&case.u_half[..], &[0.0]].concat().repeat(10);
         u_half.pop();
-        let long = Case { u: case.u.repeat(10), u_half, dense: case.dense.repeat(10), ..case.clone() };
+        let long = Case {
+            u: case.u.repeat(10).into(),
+            u_half: u_half.into(),
+            dense: case.dense.repeat(10).into(),
+            ..case.clone()
+        };
         assert!(model.roll_out(&long).expect("bounded").iter().all(|v| v.abs() < 1e3));
     }
 }
@@ -164,7 +171,7 @@ fn soft_limits_keep_every_finite_motion_bounded_and_leave_trained_ones_alone() {
         for case in &t.cases[N_TRAIN..] {
             assert!(model.guard_doubled(case).is_finite && model.guard_tenfold(case).is_finite);
             for factor in [1e2_f32, 1e9, 1e30] {
-                let huge = |x: &[f32]| x.iter().map(|v| v * factor).collect::<Vec<f32>>();
+                let huge = |x: &[f32]| x.iter().map(|v| v * factor).collect();
                 let case =
                     Case { u: huge(&case.u), u_half: huge(&case.u_half), dense: huge(&case.dense), ..case.clone() };
                 assert!(model.roll_out(&case).expect("bounded").iter().all(|v| v.is_finite()), "factor {factor}");
@@ -176,20 +183,50 @@ fn soft_limits_keep_every_finite_motion_bounded_and_leave_trained_ones_alone() {
 }
 
 #[test]
+fn trainings_with_next_to_no_memory_end_in_the_same_bytes() {
+    let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
+    let settings = PretrainSettings { epochs: 6, polish_every: 3, polish_steps: 2, ..settings() };
+    let distilled = DistillSettings { window: 5, epochs: 5, ..Default::default() };
+    let dir = tempfile::tempdir().expect("folder");
+    let outcome = |training: &Training<'_>, keeps: bool| {
+        let keep = |x: &[f32]| if keeps { training.spill.keep(x.to_vec()).expect("kept") } else { x.to_vec().into() };
+        let case = |c: &Case| Case {
+            id: c.id.clone(),
+            u: keep(&c.u),
+            u_half: keep(&c.u_half),
+            dense: keep(&c.dense),
+            sparse: keep(&c.sparse),
+        };
+        let cases: Vec<Case> = cases.iter().map(case).collect();
+        let is_mapped = |c: &Case| matches!(c.dense, Values::Mapped { .. });
+        assert_eq!(cases.iter().any(is_mapped), keeps);
+        let (train, validation) = cases.split_at(4);
+        let (model, history) = pretrain(train, validation, &settings, 5, training).expect("trains");
+        let (encoder, more) = distill(&model, train, validation, &distilled, 5, training).expect("distils");
+        (model, history.to_csv(), encoder, more.to_csv())
+    };
+    let whole = outcome(&Training::in_memory(&Quiet), false);
+    let spill = Spill::new(5_000, dir.path());
+    assert!(outcome(&Training { spill, ..Training::in_memory(&Quiet) }, true) == whole);
+    assert_eq!(std::fs::read_dir(dir.path()).expect("a folder").count(), 0);
+}
+
+#[test]
 fn training_taken_up_from_its_checkpoint_ends_in_the_same_bytes() {
     let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
     let (train, validation) = cases.split_at(4);
     let settings =
         PretrainSettings { epochs: 13, validate_every: 2, checkpoint_every: 4, threshold_every: 3, ..settings() };
-    let whole = pretrain(train, validation, &settings, 5, None, &Quiet).expect("trains");
+    let whole = pretrain(train, validation, &settings, 5, &Training::in_memory(&Quiet)).expect("trains");
     let dir = tempfile::tempdir().expect("folder");
     // leaves the state after epoch 8 behind, as a killed training does
-    pretrain(train, validation, &settings, 5, Some(dir.path()), &Quiet).expect("trains");
-    let resumed = pretrain(train, validation, &settings, 5, Some(dir.path()), &Quiet).expect("goes on");
+    let kept = Training { checkpoint_dir: Some(dir.path()), ..Training::in_memory(&Quiet) };
+    pretrain(train, validation, &settings, 5, &kept).expect("trains");
+    let resumed = pretrain(train, validation, &settings, 5, &kept).expect("goes on");
     assert!(whole.0 == resumed.0, "models differ");
     assert_eq!(whole.1.to_csv(), resumed.1.to_csv());
     // another seed is another training and does not take the state up
-    let other = pretrain(train, validation, &settings, 6, Some(dir.path()), &Quiet).expect("trains");
+    let other = pretrain(train, validation, &settings, 6, &kept).expect("trains");
     assert!(other.0 != whole.0);
 }
 
@@ -241,7 +278,8 @@ fn a_killed_distillation_goes_on_to_the_same_bytes() {
     let settings = DistillSettings { window: 5, epochs: 35, ..Default::default() };
     let (train, validation) = t.cases.split_at(N_TRAIN);
     is_resumed(24, |dir, progress| {
-        let (encoder, history) = distill(&t.model, train, validation, &settings, 1, dir, progress).expect("distils");
+        let training = Training { checkpoint_dir: dir, ..Training::in_memory(progress) };
+        let (encoder, history) = distill(&t.model, train, validation, &settings, 1, &training).expect("distils");
         (encoder, history.to_csv())
     });
 }
@@ -263,7 +301,7 @@ fn a_killed_calibration_goes_on_to_the_same_bytes_with_either_solver() {
 }
 
 fn as_event(case: &Case) -> Event {
-    Event { id: case.id.clone(), u: case.u.clone(), u_half: case.u_half.clone(), sparse: case.sparse.clone() }
+    Event { id: case.id.clone(), u: case.u.to_vec(), u_half: case.u_half.to_vec(), sparse: case.sparse.to_vec() }
 }
 
 #[test]
@@ -273,7 +311,7 @@ fn the_number_of_threads_changes_no_byte_of_the_model() {
     let settings = PretrainSettings { epochs: 4, ..settings() };
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("pool");
-        pool.install(|| pretrain(train, validation, &settings, 5, None, &Quiet).expect("trains"))
+        pool.install(|| pretrain(train, validation, &settings, 5, &Training::in_memory(&Quiet)).expect("trains"))
     };
     assert!(run(1).0 == run(4).0);
 }
@@ -337,7 +375,8 @@ fn a_checkpoint_is_read_by_safetensors_for_numpy() {
 fn a_training_without_a_bounded_candidate_is_an_error() {
     let (cases, _) = Synthetic { n_case: 3, duration_s: 2.0, ..column() }.cases(2);
     let settings = PretrainSettings { epochs: 1, state_bound: 1.0, stress_factor: 100.0, ..settings() };
-    let error = pretrain(&cases[..2], &cases[2..], &settings, 1, None, &Quiet).expect_err("nothing survives");
+    let error =
+        pretrain(&cases[..2], &cases[2..], &settings, 1, &Training::in_memory(&Quiet)).expect_err("nothing survives");
     assert!(error.to_string().contains("no candidate"), "{error}");
 }
 
@@ -345,7 +384,8 @@ fn a_training_without_a_bounded_candidate_is_an_error() {
 fn a_published_recipe_without_linear_start_trains_too() {
     let (cases, _) = Synthetic { n_case: 6, duration_s: 4.0, ..column() }.cases(4);
     let settings = PretrainSettings { epochs: 20, ..settings() }.as_published();
-    let (model, history) = pretrain(&cases[..4], &cases[4..], &settings, 1, None, &Quiet).expect("trains");
+    let (model, history) =
+        pretrain(&cases[..4], &cases[4..], &settings, 1, &Training::in_memory(&Quiet)).expect("trains");
     assert!(model.shape.encoder().skip_range().is_none());
     let total = history.column("total").expect("column");
     assert!(total[20] < total[1], "{total:?}");

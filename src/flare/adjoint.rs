@@ -152,7 +152,7 @@ mod tests {
         };
         let mut forcing = Forcing::default();
         forcing.reset(n_step, 2);
-        forcing.set(lane, &Drive { width: 2, at: single(&u), half: single(&u_half) }, 0..n_step, 1.0);
+        forcing.set(lane, &Drive { width: 2, at: single(&u).into(), half: single(&u_half).into() }, 0..n_step, 1.0);
         let mut trajectory = Trajectory::default();
         rollout(library, &single(&xi), &in_lane(&z0), &forcing, 1e3, &mut trajectory);
         let mut dz = in_lane(&weight);

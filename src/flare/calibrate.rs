@@ -302,11 +302,11 @@ pub(super) mod tests {
                 moved[i] += h;
                 let mut all = Vec::new();
                 for group in &records.groups {
-                    let n_step = group.forcing.n_step();
                     let rolled = records.roll_out(group, &moved);
-                    for (lane, target) in group.target.iter().enumerate() {
-                        let scale = (f64::from(group.weight[lane]) / records.count).sqrt();
-                        let series = &rolled.response[lane * n_step * 2..][2..target.len()];
+                    let n_step = rolled.forcing.n_step();
+                    for (lane, weight) in group.weight.iter().enumerate() {
+                        let scale = (f64::from(*weight) / records.count).sqrt();
+                        let series = &rolled.response[lane * n_step * 2..][2..group.target(lane).len()];
                         all.extend(series.iter().map(|y| scale * f64::from(*y)));
                     }
                 }

@@ -1,6 +1,7 @@
 //! What the learned model is trained and judged on: simulated cases and measured events, already normalised.
 
 use crate::error::{Error, Result};
+use crate::numerics::spill::Values;
 
 /// One simulated motion at the model's sampling interval, all series divided by their training standard deviations.
 #[derive(Debug, Clone, PartialEq)]
@@ -8,13 +9,13 @@ pub struct Case {
     /// Name of the motion.
     pub id: String,
     /// Base acceleration, `[n_step]`.
-    pub u: Vec<f32>,
+    pub u: Values<f32>,
     /// Base acceleration half-way between samples, from the finer series, `[n_step − 1]`.
-    pub u_half: Vec<f32>,
+    pub u_half: Values<f32>,
     /// Dense response, `[n_step · n_channel]`, row-major in time.
-    pub dense: Vec<f32>,
+    pub dense: Values<f32>,
     /// Response at the sensors, `[n_step · n_sensor]`.
-    pub sparse: Vec<f32>,
+    pub sparse: Values<f32>,
 }
 
 /// One component of a measured event, normalised with the statistics of the simulations.
@@ -112,13 +113,15 @@ mod tests {
     fn a_case_with_a_gap_is_refused_with_its_place() {
         let mut case = Case {
             id: "007".into(),
-            u: vec![0.0; 9],
-            u_half: vec![0.0; 8],
-            dense: vec![0.0; 18],
-            sparse: vec![0.0; 9],
+            u: vec![0.0; 9].into(),
+            u_half: vec![0.0; 8].into(),
+            dense: vec![0.0; 18].into(),
+            sparse: vec![0.0; 9].into(),
         };
         assert!(case.check(2, 1, 3).is_ok());
-        case.dense[5] = f32::NAN;
+        let mut gap = vec![0.0; 18];
+        gap[5] = f32::NAN;
+        case.dense = gap.into();
         let text = case.check(2, 1, 3).expect_err("no number").to_string();
         assert_eq!(text, "dense response is no number at sample 2, channel 1\n  in case `007`");
     }

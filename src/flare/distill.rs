@@ -10,51 +10,52 @@ use super::adam::{Adam, cosine};
 use super::case::{Case, amplitude_weights};
 use super::history::History;
 use super::mlp::{Mlp, Tape};
-use super::model::{SourceModel, SparseEncoder, windows};
+use super::model::{SourceModel, SparseEncoder, tame};
 use super::ridge::Regression;
 use super::settings::DistillSettings;
 use super::snapshot::Fingerprint;
+use super::training::Training;
 use crate::error::{Error, Result};
 use crate::numerics::random::stream;
-use crate::progress::Progress;
+use crate::numerics::spill::{Spill, Values};
 use crate::ranges::Ranged as _;
 use rand::RngExt;
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
-use std::path::Path;
 
 /// Rows of one chunk; a batch is cut alike on any number of threads.
 const CHUNK: usize = 128;
 /// Epochs between checkpoints.
 const CHECKPOINT_EVERY: usize = 10;
 
-/// Trains a sparse encoder and returns the best candidate with the loss history. With a `checkpoint_dir` an interrupted
-/// training goes on where it was.
+/// Trains a sparse encoder and returns the best candidate with the loss history.
 ///
 /// # Errors
-/// When cases do not fit the settings or the source model.
+/// When cases do not fit the settings or the source model, or its state or their latent states cannot be kept.
 pub fn distill(
     model: &SourceModel,
     train: &[Case],
     validation: &[Case],
     settings: &DistillSettings,
     seed: u64,
-    checkpoint_dir: Option<&Path>,
-    progress: &dyn Progress,
+    training: &Training<'_>,
 ) -> Result<(SparseEncoder, History)> {
+    let Training { checkpoint_dir, spill, progress } = training;
     let n_sensor = check(model, train, validation, settings)?;
     let network = SparseEncoder::network(settings, n_sensor, model.shape.latent);
-    let pairs = Pairs::new(model, train, settings, n_sensor, &[1.0, -1.0][..if settings.mirror { 2 } else { 1 }]);
-    let check = Pairs::new(model, validation, settings, n_sensor, &[1.0]);
+    let signs = &[1.0, -1.0][..if settings.mirror { 2 } else { 1 }];
+    let sizes = Sizes { window: settings.window, n_sensor, latent: model.shape.latent };
+    let pairs = Pairs::new(model, train, settings.amplitude_weighting, sizes, signs, spill)?;
+    let check = Pairs::new(model, validation, settings.amplitude_weighting, sizes, &[1.0], spill)?;
     let mut parameters = network.initial(&mut stream(seed, "distill start"));
     if let Some(range) = network.skip_range() {
         parameters[range].copy_from_slice(&pairs.linear_map()?);
     }
-    let print = Fingerprint::new("flare-pipe distillation v1")
+    let print = Fingerprint::new("flare-pipe distillation v2")
         .text(&format!("{settings:?} {seed}"))
         .floats(&model.parameters)
         .cases(train.iter().chain(validation))
-        .floats(&pairs.x)
+        .sensors(train.iter().chain(validation))
         .finish();
     let mut state =
         checkpoint_dir.and_then(|dir| DistillState::load(dir, &print)).unwrap_or_else(|| DistillState::new(parameters));
@@ -142,65 +143,117 @@ fn check(model: &SourceModel, train: &[Case], validation: &[Case], settings: &Di
     Ok(n_sensor)
 }
 
-/// Windows of the sensors beside the latent states of the dense windows that end with them.
-struct Pairs {
-    n_row: usize,
-    n_sign: usize,
-    n_x: usize,
-    n_z: usize,
-    x: Vec<f32>,
-    z: Vec<f32>,
-    weight: Vec<f32>,
+/// Sizes of the network.
+#[derive(Debug, Clone, Copy)]
+struct Sizes {
+    window: usize,
+    n_sensor: usize,
+    latent: usize,
 }
 
-impl Pairs {
-    fn new(model: &SourceModel, cases: &[Case], settings: &DistillSettings, n_sensor: usize, signs: &[f32]) -> Self {
-        let r = model.shape.latent;
-        let case_weight = amplitude_weights(cases.iter().map(|c| c.dense.as_slice()), settings.amplitude_weighting);
-        let first = settings.window.max(model.shape.window) - 1;
-        let n_x = settings.window * n_sensor;
-        let mut pairs = Self { n_row: 0, n_sign: signs.len(), n_x, n_z: r, x: vec![], z: vec![], weight: vec![] };
+impl Sizes {
+    /// Values of a window of the sensors.
+    fn n_x(self) -> usize {
+        self.window * self.n_sensor
+    }
+}
+
+/// A case or its mirror image: windows of its sensors beside the latent states of the dense windows that end with them.
+struct Part<'a> {
+    sparse: &'a [f32],
+    sign: f32,
+    weight: f32,
+    /// Row of its first window among all.
+    first_row: usize,
+    /// Sample at which that ends.
+    first: usize,
+    /// `[row][latent]`
+    z: Values<f32>,
+}
+
+/// All of them.
+struct Pairs<'a> {
+    sizes: Sizes,
+    n_row: usize,
+    n_sign: usize,
+    parts: Vec<Part<'a>>,
+}
+
+/// One row of the pairs.
+struct Pair<'p> {
+    weight: f32,
+    z: &'p [f32],
+}
+
+impl<'a> Pairs<'a> {
+    fn new(
+        model: &SourceModel,
+        cases: &'a [Case],
+        amplitude_weighting: f64,
+        sizes: Sizes,
+        signs: &[f32],
+        spill: &Spill,
+    ) -> Result<Self> {
+        let case_weight = amplitude_weights(cases.iter().map(|c| &c.dense[..]), amplitude_weighting);
+        let first = sizes.window.max(model.shape.window) - 1;
+        let (mut parts, mut n_row) = (Vec::with_capacity(cases.len() * signs.len()), 0);
         for sign in signs {
-            let signed = |x: &[f32]| x.iter().map(|v| v * sign).collect::<Vec<f32>>();
             for (case, weight) in cases.iter().zip(&case_weight) {
-                let z = model.encode(&signed(&case.dense));
-                let x = windows(&signed(&case.sparse), n_sensor, settings.window);
-                pairs.z.extend(&z[(first + 1 - model.shape.window) * r..]);
-                pairs.x.extend(&x[(first + 1 - settings.window) * n_x..]);
-                pairs.weight.resize(pairs.z.len() / r, *weight);
+                let dense: Vec<f32> = case.dense.iter().map(|v| v * sign).collect();
+                let mut z = model.encode(&dense);
+                z.drain(..(first + 1 - model.shape.window) * sizes.latent);
+                let rows = z.len() / sizes.latent;
+                let z = spill.keep(z)?;
+                parts.push(Part { sparse: &case.sparse, sign: *sign, weight: *weight, first_row: n_row, first, z });
+                n_row += rows;
             }
         }
-        pairs.n_row = pairs.weight.len();
-        pairs
+        Ok(Self { sizes, n_row, n_sign: signs.len(), parts })
+    }
+
+    /// Row `i`; its window is put at the end of `x`.
+    fn pair(&self, i: usize, x: &mut Vec<f32>) -> Pair<'_> {
+        let part = &self.parts[self.parts.partition_point(|part| part.first_row <= i) - 1];
+        let Sizes { window, n_sensor, latent } = self.sizes;
+        let row = i - part.first_row;
+        let end = part.first + row + 1;
+        let values = &part.sparse[(end - window) * n_sensor..end * n_sensor];
+        x.extend(values.iter().map(|v| tame(v * part.sign)));
+        Pair { weight: part.weight, z: &part.z[row * latent..(row + 1) * latent] }
     }
 
     /// Row-major `[r · n_x]` of the best linear encoder.
     fn linear_map(&self) -> Result<Vec<f32>> {
-        let mut regression = Regression::new(self.n_x, self.n_z);
+        let (n_x, n_z) = (self.sizes.n_x(), self.sizes.latent);
+        let mut regression = Regression::new(n_x, n_z);
         let double = |x: &[f32]| x.iter().map(|v| f64::from(*v)).collect::<Vec<f64>>();
-        for ((x, z), weight) in self.x.chunks_exact(self.n_x).zip(self.z.chunks_exact(self.n_z)).zip(&self.weight) {
-            regression.add(&double(x), &double(z), f64::from(*weight));
+        let mut x = Vec::with_capacity(n_x);
+        for i in 0..self.n_row {
+            x.clear();
+            let pair = self.pair(i, &mut x);
+            regression.add(&double(&x), &double(pair.z), f64::from(pair.weight));
         }
         let map = regression.solve(1e-6)?;
-        Ok((0..self.n_z).flat_map(|i| (0..self.n_x).map(move |j| (i, j))).map(|at| map[at] as f32).collect())
+        Ok((0..n_z).flat_map(|i| (0..n_x).map(move |j| (i, j))).map(|at| map[at] as f32).collect())
     }
 
     /// Weighted mean squared latent error (1) of some rows, and its gradient where wanted (overwritten).
     fn loss(&self, network: &Mlp, parameters: &[f32], rows: &[usize], gradient: Option<&mut [f32]>) -> f64 {
         let is_wanted = gradient.is_some();
-        let count = (rows.len() * self.n_z) as f64;
+        let (n_x, n_z) = (self.sizes.n_x(), self.sizes.latent);
+        let count = (rows.len() * n_z) as f64;
         let parts: Vec<(f64, Vec<f32>)> = rows
             .par_chunks(CHUNK)
             .map(|rows| {
-                let x: Vec<f32> =
-                    rows.iter().flat_map(|i| &self.x[i * self.n_x..(i + 1) * self.n_x]).copied().collect();
+                let mut x = Vec::with_capacity(rows.len() * n_x);
+                let pairs: Vec<Pair<'_>> = rows.iter().map(|i| self.pair(*i, &mut x)).collect();
                 let (mut tape, mut z, mut sum) = (Tape::default(), Vec::new(), 0.0);
                 network.forward(parameters, &x, &mut tape, &mut z);
-                for (z, i) in z.chunks_exact_mut(self.n_z).zip(rows) {
-                    let scale = (2.0 * f64::from(self.weight[*i]) / count) as f32;
-                    for (z, target) in z.iter_mut().zip(&self.z[i * self.n_z..]) {
+                for (z, pair) in z.chunks_exact_mut(n_z).zip(pairs) {
+                    let scale = (2.0 * f64::from(pair.weight) / count) as f32;
+                    for (z, target) in z.iter_mut().zip(pair.z) {
                         *z -= target;
-                        sum += f64::from(self.weight[*i] * *z * *z) / count;
+                        sum += f64::from(pair.weight * *z * *z) / count;
                         *z *= scale;
                     }
                 }
@@ -229,8 +282,14 @@ mod tests {
         let mut random = stream(2, "distill test");
         let mut draw = |n: usize| (0..n).map(|_| random.random::<f32>() - 0.5).collect::<Vec<f32>>();
         let n_row = 300;
-        let weight = draw(n_row).iter().map(|w| w + 1.0).collect();
-        let pairs = Pairs { n_row, n_sign: 1, n_x: 3, n_z: 2, x: draw(3 * n_row), z: draw(2 * n_row), weight };
+        let sizes = Sizes { window: 1, n_sensor: 3, latent: 2 };
+        let sparse = draw(3 * n_row);
+        let part = |sign: f32, weight: f32, first_row: usize, z: Vec<f32>| {
+            let (sparse, first) = (&sparse[3 * first_row..], 0);
+            Part { sparse, sign, weight, first_row, first, z: z.into() }
+        };
+        let parts = vec![part(1.0, 0.7, 0, draw(2 * 130)), part(-1.0, 1.6, 130, draw(2 * (n_row - 130)))];
+        let pairs = Pairs { sizes, n_row, n_sign: 1, parts };
         let parameters = draw(network.n_parameter());
         let rows: Vec<usize> = (0..n_row).collect();
         let mut gradient = vec![0.0; parameters.len()];

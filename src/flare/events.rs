@@ -11,6 +11,7 @@ use super::model::{SourceModel, SparseEncoder};
 use super::objective::{from_lanes, to_lanes};
 use super::observation::Observation;
 use super::rollout::{Start, load_group};
+use crate::numerics::spill::Values;
 use rayon::prelude::*;
 
 /// `C D` as one network: the observation matrix folded into the decoder's last layer.
@@ -57,47 +58,57 @@ pub struct Records<'a> {
     pub(super) count: f64,
 }
 
-/// Up to [`LANES`] events side by side.
+/// A motion to roll out and what its sensors recorded.
+pub(super) struct Motion {
+    /// State at the first sample that is rolled out, `[r]`.
+    pub z0: Vec<f32>,
+    pub drive: Drive,
+    /// From the first sample of the record on, `[n_step · n_sensor]`.
+    pub sparse: Values<f32>,
+}
+
+/// Up to [`LANES`] motions side by side.
 pub(super) struct Group {
-    pub forcing: Forcing,
-    pub z0: Vec<Lanes>,
-    pub n_lane: usize,
-    pub target: Vec<Vec<f32>>,
+    motions: Vec<Motion>,
+    /// Where in their records they are rolled out from.
+    from: usize,
     pub weight: Vec<f32>,
+}
+
+impl Group {
+    pub fn n_lane(&self) -> usize {
+        self.motions.len()
+    }
+
+    /// What the sensors recorded of a lane, from the sample of the initial state on.
+    pub fn target(&self, lane: usize) -> &[f32] {
+        let motion = &self.motions[lane];
+        let n_sensor = motion.sparse.len() / motion.drive.n_step();
+        &motion.sparse[self.from * n_sensor..]
+    }
 }
 
 impl<'a> Records<'a> {
     /// Encodes the first windows of `events` and weights them by amplitude.
     pub fn new(encoder: &SparseEncoder, reader: &'a Reader<'a>, events: &[Event], power: f64, bound: f32) -> Self {
-        let starting: Vec<Vec<f32>> =
-            events.iter().map(|e| encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor])).collect();
-        Self::started(&starting, encoder.window - 1, reader, events, power, bound)
+        let motion = |e: &Event| Motion {
+            z0: encoder.encode(&e.sparse[..encoder.window * encoder.n_sensor]),
+            drive: reader.model.shape.drive(&e.u, &e.u_half, 1.0),
+            sparse: e.sparse.clone().into(),
+        };
+        Self::of(events.iter().map(motion).collect(), encoder.window - 1, reader, power, bound)
     }
 
-    /// Starts `events` from given states at sample `t0`.
-    pub fn started(
-        starting: &[Vec<f32>],
-        t0: usize,
-        reader: &'a Reader<'a>,
-        events: &[Event],
-        power: f64,
-        bound: f32,
-    ) -> Self {
+    /// Rolls `motions` out from sample `from` on, weighted by amplitude.
+    pub(super) fn of(mut motions: Vec<Motion>, from: usize, reader: &'a Reader<'a>, power: f64, bound: f32) -> Self {
         let n_sensor = reader.network.n_output();
-        let weight = amplitude_weights(events.iter().map(|e| e.sparse.as_slice()), power);
-        let drives: Vec<Drive> = events.iter().map(|e| reader.model.shape.drive(&e.u, &e.u_half, 1.0)).collect();
-        let starts: Vec<Start<'_>> =
-            drives.iter().zip(starting).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
-        let targets: Vec<Vec<f32>> = events.iter().map(|e| e.sparse[t0 * n_sensor..].to_vec()).collect();
-        let count: usize = targets.iter().map(|t| t.len() - n_sensor).sum();
-        let groups = starts
-            .chunks(LANES)
-            .zip(targets.chunks(LANES).zip(weight.chunks(LANES)))
-            .map(|(starts, (target, weight))| {
-                let (forcing, z0) = load_group(reader.model.shape.library().latent, starts);
-                Group { forcing, z0, n_lane: starts.len(), target: target.to_vec(), weight: weight.to_vec() }
-            })
-            .collect();
+        let weight = amplitude_weights(motions.iter().map(|m| &m.sparse[..]), power);
+        let count: usize = motions.iter().map(|m| m.sparse.len() - (from + 1) * n_sensor).sum();
+        let mut groups = Vec::with_capacity(motions.len().div_ceil(LANES));
+        for weight in weight.chunks(LANES) {
+            let own = motions.drain(..weight.len()).collect();
+            groups.push(Group { motions: own, from, weight: weight.to_vec() });
+        }
         Self { reader, groups, limits: reader.model.shape.limits(bound), count: count as f64 }
     }
 
@@ -125,18 +136,18 @@ impl<'a> Records<'a> {
     fn part(&self, group: &Group, xi: &[f32], is_wanted: bool) -> Part {
         let library = self.reader.model.shape.library();
         let (r, n_sensor) = (self.reader.model.shape.latent, self.reader.network.n_output());
-        let n_step = group.forcing.n_step();
         let mut rolled = self.roll_out(group, xi);
+        let n_step = rolled.forcing.n_step();
         let valid = rolled.trajectory.valid;
-        let is_bounded = valid == group.forcing.length;
+        let is_bounded = valid == rolled.forcing.length;
         let mut sum = 0.0;
         for (lane, series) in rolled.response.chunks_exact_mut(n_step * n_sensor).enumerate() {
             let scale = f64::from(group.weight[lane]) / self.count;
-            let (inside, beyond) = series.split_at_mut(group.target[lane].len());
+            let (inside, beyond) = series.split_at_mut(group.target(lane).len());
             beyond.fill(0.0);
             let (initial, predicted) = inside.split_at_mut(n_sensor);
             initial.fill(0.0); // part of the window, not of the prediction
-            for (i, (a, target)) in predicted.iter_mut().zip(&group.target[lane][n_sensor..]).enumerate() {
+            for (i, (a, target)) in predicted.iter_mut().zip(&group.target(lane)[n_sensor..]).enumerate() {
                 let is_valid = i / n_sensor + 1 < valid[lane];
                 let error = if is_valid { *a - target } else { -target };
                 sum += scale * f64::from(error).powi(2);
@@ -146,28 +157,31 @@ impl<'a> Records<'a> {
         if !is_wanted {
             return Part { sum, is_bounded, gradient: Vec::new() };
         }
-        let Rolled { trajectory, z, mut tape, response } = rolled;
+        let Rolled { forcing, trajectory, z, mut tape, response } = rolled;
         let mut d_z = vec![0.0; z.len()];
         self.reader.network.backward(&self.reader.parameters, &z, &mut tape, &response, None, Some(&mut d_z));
         let mut dz = Vec::new();
-        to_lanes(&d_z, (r, library.latent), n_step, group.n_lane, &mut dz);
+        to_lanes(&d_z, (r, library.latent), n_step, group.n_lane(), &mut dz);
         let mut dxi = vec![Lanes::ZERO; xi.len()];
-        reverse(library, xi, &group.forcing, &trajectory, &mut dz, &mut dxi);
+        reverse(library, xi, &forcing, &trajectory, &mut dz, &mut dxi);
         Part { sum, is_bounded, gradient: dxi.iter().map(Lanes::sum).collect() }
     }
 
     /// Rolls a group out and reads the sensors.
     pub(super) fn roll_out(&self, group: &Group, xi: &[f32]) -> Rolled {
         let library = self.reader.model.shape.library();
+        let starts: Vec<Start<'_>> =
+            group.motions.iter().map(|m| Start { z0: &m.z0, drive: &m.drive, from: group.from }).collect();
+        let (forcing, z0) = load_group(library.latent, &starts);
         let mut trajectory = Trajectory::default();
-        rollout_limited(library, xi, &group.z0, &group.forcing, &self.limits, &mut trajectory);
-        let n_step = group.forcing.n_step();
+        rollout_limited(library, xi, &z0, &forcing, &self.limits, &mut trajectory);
+        let n_step = forcing.n_step();
         let r = self.reader.model.shape.latent;
-        let mut z = vec![0.0; group.n_lane * n_step * r];
+        let mut z = vec![0.0; group.n_lane() * n_step * r];
         from_lanes(&trajectory.z, (r, library.latent), n_step, &mut z);
         let (mut tape, mut response) = (Tape::default(), Vec::new());
         self.reader.network.forward(&self.reader.parameters, &z, &mut tape, &mut response);
-        Rolled { trajectory, z, tape, response }
+        Rolled { forcing, trajectory, z, tape, response }
     }
 }
 
@@ -180,6 +194,7 @@ struct Part {
 
 /// A group rolled out, and what its sensors would read.
 pub(super) struct Rolled {
+    pub forcing: Forcing,
     pub trajectory: Trajectory,
     /// States `[lane][t][r]`.
     pub z: Vec<f32>,

@@ -45,7 +45,7 @@ impl SourceModel {
         let u = case.u.repeat(times);
         // half a step after the last sample of one repetition lies between it and the first sample of the next
         let between = 0.5 * (case.u.first().unwrap_or(&0.0) + case.u.last().unwrap_or(&0.0));
-        let mut u_half = [case.u_half.as_slice(), &[between]].concat().repeat(times);
+        let mut u_half = [&case.u_half[..], &[between]].concat().repeat(times);
         u_half.pop();
         let window: Vec<f32> = case.dense[..shape.window * shape.channels].iter().map(|v| v * factor).collect();
         let z0 = self.encode(&window);

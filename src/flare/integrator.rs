@@ -201,7 +201,7 @@ mod tests {
         let half: Vec<f32> = (0..n_step - 1).map(|i| u((i as f64 + 0.5) * step)).collect();
         let mut forcing = Forcing::default();
         forcing.reset(n_step, 1);
-        forcing.set(5, &Drive { width: 1, at: series, half }, 0..n_step, 1.0);
+        forcing.set(5, &Drive { width: 1, at: series.into(), half: half.into() }, 0..n_step, 1.0);
         let mut to = Trajectory::default();
         rollout(
             Library { latent: 2, memories: 0, energies: 0 },
@@ -230,7 +230,7 @@ mod tests {
         let xi = [0.0, 0.0, 1.0, 0.0]; // z' = z², finite-time blow-up from a positive start
         let mut forcing = Forcing::default();
         forcing.reset(50, 1);
-        let still = Drive { width: 1, at: vec![0.0; 50], half: vec![0.0; 49] };
+        let still = Drive { width: 1, at: vec![0.0; 50].into(), half: vec![0.0; 49].into() };
         forcing.set(0, &still, 0..50, 1.0);
         forcing.set(1, &still, 0..50, 1.0);
         let mut z0 = [Lanes::ZERO];

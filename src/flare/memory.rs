@@ -12,6 +12,8 @@
 //! products with the states and with `u`. Limits: one measure for the whole column; bounded, so that a motion beyond the
 //! trained range changes the coefficients by no more than a factor.
 
+use crate::error::Result;
+use crate::numerics::spill::{Spill, Values};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -33,14 +35,14 @@ impl Memories {
 }
 
 /// What drives the latent equations: `u` and the memories, at the samples and half-way between.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Drive {
     /// Values a sample: 1 and the number of memories.
     pub width: usize,
     /// `[n_step · width]`.
-    pub at: Vec<f32>,
+    pub at: Values<f32>,
     /// `[(n_step − 1) · width]`.
-    pub half: Vec<f32>,
+    pub half: Values<f32>,
 }
 
 impl Drive {
@@ -69,7 +71,15 @@ impl Drive {
                 at[t * width + 1 + m] = advance(at[t * width]);
             }
         }
-        Self { width, at, half }
+        Self { width, at: at.into(), half: half.into() }
+    }
+
+    /// The same, kept by `spill`.
+    ///
+    /// # Errors
+    /// When it cannot be kept.
+    pub fn kept(self, spill: &Spill) -> Result<Self> {
+        Ok(Self { at: spill.keep(self.at.to_vec())?, half: spill.keep(self.half.to_vec())?, ..self })
     }
 
     /// Samples.

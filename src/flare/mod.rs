@@ -91,6 +91,7 @@ mod sensitivity;
 mod settings;
 mod snapshot;
 mod start;
+mod training;
 mod validation;
 
 pub use calibrate::{Calibration, Data, calibrate};
@@ -109,3 +110,4 @@ pub use pretrain::pretrain;
 pub use recipe::Recipe;
 pub use rollout::{observe, predict, reconstruct};
 pub use settings::{CalibrateSettings, DistillSettings, FreeTerms, LossWeights, Metric, PretrainSettings, Solver};
+pub use training::Training;

@@ -211,7 +211,7 @@ impl SparseEncoder {
 /// and squares of them are still numbers.
 const LARGEST_INPUT: f32 = 1e6;
 
-fn tame(value: f32) -> f32 {
+pub(super) fn tame(value: f32) -> f32 {
     value.clamp(-LARGEST_INPUT, LARGEST_INPUT)
 }
 

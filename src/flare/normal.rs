@@ -125,9 +125,9 @@ struct Linearised<'a> {
 impl Linearised<'_> {
     fn add_to(&self, normal: &mut Normal, xi: &[f32]) {
         let library = self.records.reader.model.shape.library();
-        let (forcing, trajectory) = (&self.group.forcing, &self.rolled.trajectory);
+        let (forcing, trajectory) = (&self.rolled.forcing, &self.rolled.trajectory);
         let n_step = forcing.n_step();
-        let mut lanes: Vec<Sensitivity> = (0..self.group.n_lane).map(|_| Sensitivity::new(library)).collect();
+        let mut lanes: Vec<Sensitivity> = (0..self.group.n_lane()).map(|_| Sensitivity::new(library)).collect();
         for begin in (1..n_step).step_by(STRETCH) {
             let samples: Vec<usize> = (begin..(begin + STRETCH).min(n_step)).collect();
             let slopes: Vec<StepSlope> =
@@ -152,7 +152,7 @@ impl Linearised<'_> {
         let shape = &self.records.reader.model.shape;
         let (r, width) = (shape.latent, shape.library().latent);
         let (n, n_sensor) = (sensitivity.len() / width, self.reading.len());
-        let at = lane * self.group.forcing.n_step() + t;
+        let at = lane * self.rolled.forcing.n_step() + t;
         let scale = (self.every as f64 * f64::from(self.group.weight[lane]) / self.records.count).sqrt() as f32;
         let slopes: Vec<f32> = self.reading.iter().flat_map(|g| &g[at * r..(at + 1) * r]).map(|g| scale * g).collect();
         let mut all = vec![0.0; n_sensor * n];
@@ -160,7 +160,7 @@ impl Linearised<'_> {
         product(view_mut(&mut all, n_sensor, n), Accum::Replace, view(&slopes, n_sensor, r), answers);
         for (j, row) in all.chunks_exact(n).enumerate() {
             rows.extend(self.kept.iter().map(|i| row[*i]));
-            let error = self.rolled.response[at * n_sensor + j] - self.group.target[lane][t * n_sensor + j];
+            let error = self.rolled.response[at * n_sensor + j] - self.group.target(lane)[t * n_sensor + j];
             rows.push(scale * error);
         }
     }

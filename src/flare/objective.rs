@@ -265,10 +265,10 @@ mod tests {
         let mut draw = |n: usize| (0..n).map(|_| 2.0 * random.random::<f32>() - 1.0).collect::<Vec<f32>>();
         Case {
             id: "a".into(),
-            u: draw(n_step),
-            u_half: draw(n_step - 1),
-            dense: draw(n_step * channels),
-            sparse: vec![],
+            u: draw(n_step).into(),
+            u_half: draw(n_step - 1).into(),
+            dense: draw(n_step * channels).into(),
+            sparse: vec![].into(),
         }
     }
 

@@ -23,6 +23,8 @@ use rayon::prelude::*;
 
 /// Share of the published metric in `field`, so that directions no simulation has taken are not free.
 const PLAIN_SHARE: f64 = 0.01;
+/// Simulations whose moments are in memory together.
+const AT_ONCE: usize = 64;
 
 /// The quadratic form (1): one block an equation.
 pub struct Penalty {
@@ -48,10 +50,12 @@ impl Penalty {
     /// The metric of the vector field over `simulations`.
     pub fn field(model: &SourceModel, simulations: &[Case]) -> Self {
         let n = model.shape.library().n_term();
-        let parts: Vec<(Vec<f64>, usize)> = simulations.par_iter().map(|case| second_moments(model, case)).collect();
-        let count: usize = parts.iter().map(|(_, n)| n).sum();
+        let count: usize = simulations.iter().map(|case| case.u.len() + 1 - model.shape.window).sum();
         let mut metric = vec![0.0; n * n];
-        parts.iter().for_each(|(part, _)| metric.iter_mut().zip(part).for_each(|(m, p)| *m += p / count as f64));
+        for some in simulations.chunks(AT_ONCE) {
+            let parts: Vec<Vec<f64>> = some.par_iter().map(|case| second_moments(model, case)).collect();
+            parts.iter().for_each(|part| metric.iter_mut().zip(part).for_each(|(m, p)| *m += p / count as f64));
+        }
         Self::new(model, Some(metric))
     }
 
@@ -101,8 +105,8 @@ impl Penalty {
     }
 }
 
-/// Sum of θ θᵀ over the samples of a case, and their number.
-fn second_moments(model: &SourceModel, case: &Case) -> (Vec<f64>, usize) {
+/// Sum of θ θᵀ over the samples of a case.
+fn second_moments(model: &SourceModel, case: &Case) -> Vec<f64> {
     let library = model.shape.library();
     let (r, n) = (library.latent, library.n_term());
     let z = model.simulated_states(case);
@@ -118,7 +122,7 @@ fn second_moments(model: &SourceModel, case: &Case) -> (Vec<f64>, usize) {
     let mut sum = vec![0.0_f32; n * n];
     let all = view(&rows, n_sample, n);
     product(view_mut(&mut sum, n, n), Accum::Replace, all.transpose(), all);
-    (sum.into_iter().map(f64::from).collect(), n_sample)
+    sum.into_iter().map(f64::from).collect()
 }
 
 /// Rows of `n` values, one a lane.
@@ -158,10 +162,10 @@ mod tests {
         let mask = vec![true; shape.library().n_coefficient()];
         let case = |i: usize| Case {
             id: i.to_string(),
-            u: random(30, 1.0, &format!("u {i}")),
-            u_half: random(29, 1.0, &format!("half {i}")),
-            dense: random(120, 1.0, &format!("dense {i}")),
-            sparse: vec![],
+            u: random(30, 1.0, &format!("u {i}")).into(),
+            u_half: random(29, 1.0, &format!("half {i}")).into(),
+            dense: random(120, 1.0, &format!("dense {i}")).into(),
+            sparse: vec![].into(),
         };
         (SourceModel { shape, parameters, mask }, (0..3).map(case).collect())
     }

@@ -17,8 +17,9 @@
 use super::case::Case;
 use super::ridge::Regression;
 use crate::error::Result;
+use crate::numerics::spill::{Spill, Values};
 use faer::linalg::solvers::Solve;
-use faer::{Mat, c64};
+use faer::{Mat, MatRef, c64};
 
 /// The zeros of R in the upper half plane.
 pub const MEMORY: [c64; 2] = [c64::new(-1.729_444_231, 0.888_974_376), c64::new(-0.270_555_769, 2.504_775_904)];
@@ -53,11 +54,32 @@ pub fn simulate(mu: c64, case: &Case) -> Vec<c64> {
     series
 }
 
-/// Poles of `n` oscillators, beside those of `memory`, that predict `responses` (`[n_step × n_mode]` a case) best.
+/// Responses of one case by spatial mode, `[n_step × n_mode]`.
+pub struct Reduced {
+    /// Column by column.
+    values: Values<f64>,
+    n_mode: usize,
+}
+
+impl Reduced {
+    /// # Errors
+    /// When `spill` cannot keep them.
+    pub fn new(rows: &Mat<f64>, spill: &Spill) -> Result<Self> {
+        let values = rows.col_iter().flat_map(|column| column.iter().copied()).collect();
+        Ok(Self { values: spill.keep(values)?, n_mode: rows.ncols() })
+    }
+
+    /// They themselves.
+    pub fn rows(&self) -> MatRef<'_, f64> {
+        MatRef::from_column_major_slice(&self.values, self.values.len() / self.n_mode.max(1), self.n_mode)
+    }
+}
+
+/// Poles of `n` oscillators, beside those of `memory`, that predict `responses` best.
 ///
 /// # Errors
 /// When the responses are too poor for a regression.
-pub fn search(n: usize, memory: &[c64], cases: &[Case], responses: &[Mat<f64>], weight: &[f32]) -> Result<Vec<c64>> {
+pub fn search(n: usize, memory: &[c64], cases: &[Case], responses: &[Reduced], weight: &[f32]) -> Result<Vec<c64>> {
     let mut poles: Vec<c64> = (0..n)
         .map(|k| {
             let omega = 0.25 * (10.0_f64).powf((k as f64 + 0.5) / n as f64);
@@ -98,16 +120,16 @@ struct Fit {
 }
 
 impl Fit {
-    fn new(poles: &[c64], memory: &[c64], cases: &[Case], responses: &[Mat<f64>], weight: &[f32]) -> Result<Self> {
+    fn new(poles: &[c64], memory: &[c64], cases: &[Case], responses: &[Reduced], weight: &[f32]) -> Result<Self> {
         let (n_parameter, n_state) = (2 * poles.len(), 2 * (poles.len() + memory.len()));
-        let n_mode = responses[0].ncols();
+        let n_mode = responses[0].n_mode;
         // columns: the states, then for each parameter the derivatives of the two states it moves
         let n_column = n_state + 2 * n_parameter;
         let mut gram = Mat::<f64>::zeros(n_column, n_column);
         let mut cross = Mat::<f64>::zeros(n_column, n_mode);
         let mut power = 0.0;
         for ((case, p), weight) in cases.iter().zip(responses).zip(weight) {
-            let columns = columns(poles, memory, case);
+            let (columns, p) = (columns(poles, memory, case), p.rows());
             let scale = faer::Scale(f64::from(*weight));
             gram += scale * (columns.transpose() * &columns);
             cross += scale * (columns.transpose() * p);
@@ -194,17 +216,24 @@ mod tests {
         let mut random = stream(5, "poles test");
         let case = |n: usize, random: &mut rand_chacha::ChaCha12Rng| {
             let mut draw = |n: usize| (0..n).map(|_| random.random::<f32>() - 0.5).collect::<Vec<f32>>();
-            Case { id: "a".into(), u: draw(n), u_half: draw(n - 1), dense: vec![], sparse: vec![] }
+            Case {
+                id: "a".into(),
+                u: draw(n).into(),
+                u_half: draw(n - 1).into(),
+                dense: vec![].into(),
+                sparse: vec![].into(),
+            }
         };
         let cases = [case(300, &mut random), case(300, &mut random)];
         let truth = [c64::new(-0.04, 0.7), c64::new(-0.2, 1.6)];
-        let responses: Vec<Mat<f64>> = cases
+        let responses: Vec<Reduced> = cases
             .iter()
             .map(|case| {
                 let states: Vec<Vec<c64>> = truth.iter().map(|mu| simulate(*mu, case)).collect();
-                Mat::from_fn(300, 3, |t, j| {
+                let rows = Mat::from_fn(300, 3, |t, j| {
                     (0..2).map(|k| states[k][t].re * (j as f64 - 0.7) + states[k][t].im * (1.0 + (j * k) as f64)).sum()
-                })
+                });
+                Reduced::new(&rows, &Spill::none()).expect("kept")
             })
             .collect();
         let poles = search(2, &[], &cases, &responses, &[1.0, 1.0]).expect("regular");

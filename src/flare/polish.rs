@@ -9,13 +9,15 @@
 //! the damping of Levenberg and Marquardt in the metric of the relative penalty; a step is taken if it lowers the error.
 //! Every other motion is turned over in sign, for the column knows no left and right.
 
-use super::case::{Case, Event};
-use super::events::{Reader, Records};
+use super::case::Case;
+use super::events::{Motion, Reader, Records};
 use super::gauss_newton::{Descent, FIRST_DAMPING};
 use super::model::SourceModel;
 use super::observation::Observation;
 use super::penalty::Penalty;
 use super::settings::PretrainSettings;
+use crate::error::Result;
+use crate::numerics::spill::Spill;
 
 /// Channels that stand for all of them.
 const N_CHANNEL: usize = 8;
@@ -25,13 +27,17 @@ const THINNING: usize = 4;
 const SMALLEST_GAIN: f64 = 1e-3;
 
 /// Takes up to `steps` steps; `judge` sees the model after each, with the error of the training motions.
+///
+/// # Errors
+/// When `spill` cannot keep what is read of them.
 pub fn polish(
     model: &mut SourceModel,
     train: &[Case],
+    spill: &Spill,
     settings: &PretrainSettings,
     steps: usize,
     judge: &mut dyn FnMut(&SourceModel, f64),
-) {
+) -> Result<()> {
     let mut fixed = model.clone();
     fixed.limit_softly(train, settings.limit_factor);
     let (channels, window) = (model.shape.channels, model.shape.window);
@@ -45,22 +51,19 @@ pub fn polish(
         sparse_std_m_s2: vec![1.0; n],
     };
     let sign = |i: usize| if settings.mirror && i % 2 == 1 { -1.0 } else { 1.0 };
-    let turned = |x: &[f32], i: usize| x.iter().map(|v| v * sign(i)).collect::<Vec<f32>>();
-    let events: Vec<Event> = train
-        .iter()
-        .enumerate()
-        .map(|(i, case)| Event {
-            id: case.id.clone(),
-            u: turned(&case.u, i),
-            u_half: turned(&case.u_half, i),
-            sparse: case.dense.chunks_exact(channels).flat_map(|row| picks.iter().map(|c| row[*c] * sign(i))).collect(),
+    let motion = |(i, case): (usize, &Case)| {
+        let first: Vec<f32> = case.dense[..window * channels].iter().map(|v| v * sign(i)).collect();
+        let rows = case.dense.chunks_exact(channels);
+        Ok(Motion {
+            z0: fixed.encode(&first),
+            drive: fixed.shape.drive(&case.u, &case.u_half, sign(i)).kept(spill)?,
+            sparse: spill.keep(rows.flat_map(|row| picks.iter().map(|c| row[*c] * sign(i))).collect())?,
         })
-        .collect();
-    let starts: Vec<Vec<f32>> =
-        train.iter().enumerate().map(|(i, c)| fixed.encode(&turned(&c.dense[..window * channels], i))).collect();
+    };
+    let motions = train.iter().enumerate().map(motion).collect::<Result<_>>()?;
     let reader = Reader::new(&fixed, &observation);
     let bound = settings.state_bound as f32;
-    let records = Records::started(&starts, window - 1, &reader, &events, settings.amplitude_weighting, bound);
+    let records = Records::of(motions, window - 1, &reader, settings.amplitude_weighting, bound);
     let penalty = Penalty::coefficients(&fixed);
     let n_coefficient = fixed.shape.library().n_coefficient();
     let free: Vec<usize> = (0..n_coefficient).filter(|i| model.mask[*i]).collect();
@@ -70,16 +73,17 @@ pub fn polish(
     for _ in 0..steps {
         let normal = records.normal_thinned(&xi, &free, THINNING);
         let Some((moved, new)) = descent.step(&normal, &xi, error, &mut damping) else {
-            return;
+            return Ok(());
         };
         xi = moved;
         model.parameters[..n_coefficient].copy_from_slice(&xi);
         judge(model, new);
         if new > (1.0 - SMALLEST_GAIN) * error {
-            return;
+            break;
         }
         error = new;
     }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -113,15 +117,15 @@ mod tests {
         let cases: Vec<Case> = (0..4)
             .map(|i| Case {
                 id: i.to_string(),
-                u: draw(80, 1.0),
-                u_half: draw(79, 1.0),
-                dense: draw(400, 1.0),
-                sparse: vec![],
+                u: draw(80, 1.0).into(),
+                u_half: draw(79, 1.0).into(),
+                dense: draw(400, 1.0).into(),
+                sparse: vec![].into(),
             })
             .collect();
         let before = model.clone();
         let mut errors = Vec::new();
-        polish(&mut model, &cases, &settings, 4, &mut |_, error| errors.push(error));
+        polish(&mut model, &cases, &Spill::none(), &settings, 4, &mut |_, error| errors.push(error)).expect("kept");
         assert!(!errors.is_empty() && errors.windows(2).all(|e| e[1] < e[0]), "{errors:?}");
         for (i, (a, b)) in model.parameters.iter().zip(&before.parameters).enumerate() {
             let may_move = i < n_coefficient && before.mask[i];

@@ -10,13 +10,13 @@ use super::polish::polish;
 use super::resume::{TrainingState, fingerprint};
 use super::settings::PretrainSettings;
 use super::start::{linear_start, oscillators, wake_hidden};
+use super::training::Training;
 use super::validation::{Score, judge};
 use crate::error::{Error, Result};
 use crate::numerics::random::stream;
-use crate::progress::Progress;
+use crate::numerics::spill::Spill;
 use rand::RngExt;
 use rand::seq::SliceRandom;
-use std::path::Path;
 
 /// Longest gradient an optimiser step may follow.
 const CLIP: f64 = 10.0;
@@ -39,29 +39,28 @@ const COLUMNS: [&str; 12] = [
 
 /// Trains a source model and returns the candidate with the lowest validation score, with the loss history.
 ///
-/// With a `checkpoint_dir` the training state is kept there and an interrupted training goes on from it, with the same
-/// bytes as one that was never interrupted.
-///
 /// # Errors
-/// When a case does not fit the settings, or no candidate survives the validation motions.
+/// When a case does not fit the settings, its state or what is made of the cases cannot be kept, or no candidate survives the
+/// validation motions.
 pub fn pretrain(
     train: &[Case],
     validation: &[Case],
     settings: &PretrainSettings,
     seed: u64,
-    checkpoint_dir: Option<&Path>,
-    progress: &dyn Progress,
+    training: &Training<'_>,
 ) -> Result<(SourceModel, History)> {
+    let Training { checkpoint_dir, spill, progress } = training;
     check(train, validation, settings)?;
     let shape = Shape::new(settings);
-    let case_weight = amplitude_weights(train.iter().map(|c| c.dense.as_slice()), settings.amplitude_weighting);
-    let judge_weight = amplitude_weights(validation.iter().map(|c| c.dense.as_slice()), settings.amplitude_weighting);
+    let case_weight = amplitude_weights(train.iter().map(|c| &c.dense[..]), settings.amplitude_weighting);
+    let judge_weight = amplitude_weights(validation.iter().map(|c| &c.dense[..]), settings.amplitude_weighting);
     let judge = |model: &SourceModel| {
         let mut limited = model.clone(); // judged as it will be used
         limited.limit_softly(train, settings.limit_factor);
         judge(&limited, validation, &judge_weight, settings.stress_factor, settings.state_bound)
     };
-    let drives: Vec<Drive> = train.iter().map(|c| shape.drive(&c.u, &c.u_half, 1.0)).collect();
+    let drive = |c: &Case| shape.drive(&c.u, &c.u_half, 1.0).kept(spill);
+    let drives = train.iter().map(drive).collect::<Result<Vec<Drive>>>()?;
     let objective = Objective {
         shape: &shape,
         cases: train,
@@ -74,7 +73,7 @@ pub fn pretrain(
     let print = fingerprint(settings, seed, train.iter().chain(validation));
     let mut state = match checkpoint_dir.and_then(|dir| TrainingState::load(dir, &print)) {
         Some(state) => state,
-        None => TrainingState::new(initial(&shape, train, &case_weight, settings, seed)?, History::new(&COLUMNS)),
+        None => TrainingState::new(initial(&objective, settings, seed, spill)?, History::new(&COLUMNS)),
     };
     progress.start("pretrain", settings.epochs as u64);
     progress.advance(state.epoch as u64);
@@ -92,7 +91,7 @@ pub fn pretrain(
             state.adam.restart();
         }
         if polishes_after(state.epoch, settings) {
-            polished(&objective, settings, &judge, &mut state, progress);
+            polished(&objective, settings, &judge, &mut state, training)?;
         }
         let is_last = state.epoch == settings.epochs;
         let is_judged = is_last || state.epoch.is_multiple_of(settings.validate_every);
@@ -143,29 +142,25 @@ fn polished(
     settings: &PretrainSettings,
     judge: &dyn Fn(&SourceModel) -> Score,
     state: &mut TrainingState,
-    progress: &dyn Progress,
-) {
+    training: &Training<'_>,
+) -> Result<()> {
     let mut model = state.model.clone();
-    polish(&mut model, objective.cases, settings, settings.polish_steps, &mut |model, error| {
+    polish(&mut model, objective.cases, &training.spill, settings, settings.polish_steps, &mut |model, error| {
         state.model = model.clone();
         let score = judge(model);
-        progress.note(&format!("polish: training error {error:.4}, validation {:.1} %", score.nrmse_percent));
+        training.progress.note(&format!("polish: training error {error:.4}, validation {:.1} %", score.nrmse_percent));
         let mut terms = [f64::NAN; 5];
         terms[1] = error;
         state.history.rows.push(row(state.epoch, objective, &terms, model, Some(score)));
         state.consider(score.score);
-    });
+    })?;
     state.adam.restart();
+    Ok(())
 }
 
 /// A model before the first epoch.
-fn initial(
-    shape: &Shape,
-    train: &[Case],
-    weight: &[f32],
-    settings: &PretrainSettings,
-    seed: u64,
-) -> Result<SourceModel> {
+fn initial(objective: &Objective<'_>, settings: &PretrainSettings, seed: u64, spill: &Spill) -> Result<SourceModel> {
+    let shape = objective.shape;
     let mut random = stream(seed, "pretrain start");
     let mut parameters = oscillators(shape.library(), shape.latent, &mut random);
     parameters.extend(shape.encoder().initial(&mut random));
@@ -173,7 +168,7 @@ fn initial(
     let mask = vec![true; shape.library().n_coefficient()];
     let mut model = SourceModel { shape: shape.clone(), parameters, mask };
     if settings.linear_start {
-        linear_start(&mut model, train, weight)?;
+        linear_start(&mut model, objective.cases, objective.case_weight, spill)?;
     }
     wake_hidden(&mut model, &mut stream(seed, "pretrain hidden start"));
     Ok(model)

@@ -153,6 +153,12 @@ impl Fingerprint {
         cases.fold(self, |f, c| f.text(&c.id).floats(&c.u).floats(&c.u_half).floats(&c.dense))
     }
 
+    /// Adds the sensors of simulated cases.
+    #[must_use]
+    pub fn sensors<'a>(self, cases: impl Iterator<Item = &'a Case>) -> Self {
+        cases.fold(self, |f, c| f.floats(&c.sparse))
+    }
+
     /// Adds events.
     #[must_use]
     pub fn events<'a>(self, events: impl Iterator<Item = &'a Event>) -> Self {

@@ -8,9 +8,10 @@ use super::case::Case;
 use super::library::Library;
 use super::mlp::Mlp;
 use super::model::SourceModel;
-use super::poles::{MEMORY, add_rows, search, simulate};
+use super::poles::{MEMORY, Reduced, add_rows, search, simulate};
 use super::ridge::Regression;
 use crate::error::{Error, Result};
+use crate::numerics::spill::Spill;
 use faer::{Mat, Side, c64};
 use rand::{Rng, RngExt};
 
@@ -76,11 +77,12 @@ const FASTEST: f64 = 0.5;
 /// Puts the best linear model into `model`; `weight` counts the cases.
 ///
 /// # Errors
-/// When the responses are too poor for the regressions.
-pub fn linear_start(model: &mut SourceModel, train: &[Case], weight: &[f32]) -> Result<()> {
+/// When the responses are too poor for the regressions, or `spill` cannot keep their modes.
+pub fn linear_start(model: &mut SourceModel, train: &[Case], weight: &[f32], spill: &Spill) -> Result<()> {
     let (channels, window, library) = (model.shape.channels, model.shape.window, model.shape.library());
     let modes = spatial_modes(train, weight, channels)?;
-    let reduced: Vec<Mat<f64>> = train.iter().map(|case| &dense(case, channels) * &modes).collect();
+    let reduced: Vec<Reduced> =
+        train.iter().map(|case| Reduced::new(&(&dense(case, channels) * &modes), spill)).collect::<Result<_>>()?;
     let r = model.shape.latent;
     let n_pair = r / 2;
     let memory = match n_pair {
@@ -91,16 +93,15 @@ pub fn linear_start(model: &mut SourceModel, train: &[Case], weight: &[f32]) -> 
     let mut poles = search(n_pair - memory.len(), memory, train, &reduced, weight)?;
     poles.extend(memory);
 
-    let raw: Vec<Vec<Vec<c64>>> =
-        train.iter().map(|case| poles.iter().map(|mu| simulate(*mu, case)).collect()).collect();
-    let strength: Vec<f64> = (0..n_pair)
-        .map(|k| {
-            let (power, count) =
-                raw.iter().flat_map(|s| &s[k]).fold((0.0, 0.0), |(p, n), z| (p + z.norm_sqr(), n + 2.0));
+    let strength: Vec<f64> = poles
+        .iter()
+        .map(|mu| {
+            let states = train.iter().flat_map(|case| simulate(*mu, case));
+            let (power, count) = states.fold((0.0, 0.0), |(p, n), z| (p + z.norm_sqr(), n + 2.0));
             (count / f64::max(power, f64::MIN_POSITIVE)).sqrt() // states of order one over all cases together
         })
         .collect();
-    let state = |case: usize, t: usize, i: usize| match raw[case].get(i / 2) {
+    let state = |raw: &[Vec<c64>], t: usize, i: usize| match raw.get(i / 2) {
         Some(zeta) if i.is_multiple_of(2) => strength[i / 2] * zeta[t].re,
         Some(zeta) => strength[i / 2] * zeta[t].im,
         None => 0.0, // the state left over by an odd number
@@ -108,8 +109,9 @@ pub fn linear_start(model: &mut SourceModel, train: &[Case], weight: &[f32]) -> 
     let q = modes.ncols();
     let (mut decoding, mut encoding) = (Regression::new(r, channels), Regression::new(window * q, r));
     for (i, (case, p)) in train.iter().zip(&reduced).enumerate() {
-        let n = case.u.len() + 1 - window;
-        let states = Mat::from_fn(n, r, |t, k| state(i, t + window - 1, k));
+        let (n, p) = (case.u.len() + 1 - window, p.rows());
+        let raw: Vec<Vec<c64>> = poles.iter().map(|mu| simulate(*mu, case)).collect();
+        let states = Mat::from_fn(n, r, |t, k| state(&raw, t + window - 1, k));
         let pasts = Mat::from_fn(n, window * q, |t, j| p[(t + j / q, j % q)]);
         let responses = dense(case, channels).subrows(window - 1, n).to_owned();
         add_rows(&mut decoding, &states, &responses, f64::from(weight[i]));
@@ -166,7 +168,8 @@ mod tests {
     fn woken_hidden_states_move_and_change_nothing_that_is_seen() {
         let mut random = stream(4, "hidden start");
         let mut draw = |n: usize| (0..n).map(|_| 2.0 * random.random::<f32>() - 1.0).collect::<Vec<f32>>();
-        let case = Case { id: "a".into(), u: draw(60), u_half: draw(59), dense: draw(240), sparse: vec![] };
+        let [u, u_half, dense] = [60, 59, 240].map(|n| draw(n).into());
+        let case = Case { id: "a".into(), u, u_half, dense, sparse: vec![].into() };
         let model = |hidden: usize| {
             let settings = PretrainSettings { latent: 5, hidden, channels: 4, ..Default::default() };
             let shape = Shape::new(&settings);

@@ -26,38 +26,57 @@ pub struct Score {
     pub score: f64,
 }
 
+/// Cases whose states are in memory together.
+const AT_ONCE: usize = 128;
+
 /// Judges `model` on `cases`, with the weight of each case in the means.
 pub fn judge(model: &SourceModel, cases: &[Case], weight: &[f32], stress_factor: f64, bound: f64) -> Score {
-    let t0 = model.shape.window - 1;
-    let (r, channels) = (model.shape.latent, model.shape.channels);
-    let encoded: Vec<Vec<f32>> = cases.iter().map(|c| model.encode(&c.dense)).collect();
-    let roll = |factor: f32| -> Vec<(Vec<f32>, usize)> {
-        let drives: Vec<Drive> = cases.iter().map(|c| model.shape.drive(&c.u, &c.u_half, factor)).collect();
-        let first: Vec<Vec<f32>> = encoded.iter().map(|z| z[..r].iter().map(|z| z * factor).collect()).collect();
-        let starts: Vec<Start<'_>> =
-            drives.iter().zip(&first).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
-        roll_out(model.shape.library(), model.coefficients(), &starts, &model.shape.limits(bound as f32))
-    };
-    let rolled = roll(1.0);
-    let stressed = if stress_factor > 1.0 { roll(stress_factor as f32) } else { Vec::new() };
-    let ends = rolled.iter().zip(cases).chain(stressed.iter().zip(cases));
-    let is_bounded = ends.into_iter().all(|((_, valid), case)| *valid == case.u.len() - t0);
-
-    let (mut sums, mut medians) = ([0.0; 3], Vec::new());
-    for (((case, z), (z_roll, _)), weight) in cases.iter().zip(&encoded).zip(&rolled).zip(weight) {
-        let target = &case.dense[t0 * channels..];
-        let z_roll = &model.shape.visible(z_roll.clone());
-        let response = model.decode(z_roll);
-        let weight = f64::from(*weight) / cases.len() as f64;
-        sums[0] += weight * mean_square_error(&response, target);
-        sums[1] += weight * mean_square_error(&model.decode(z), target);
-        sums[2] += weight * mean_square_error(z_roll, z);
-        medians.push(median(&mut nrmse_percent(&response, target, channels)));
+    let mut errors = Errors { sums: [0.0; 3], nrmse_percent: Vec::new(), is_bounded: true };
+    let share: Vec<f64> = weight.iter().map(|w| f64::from(*w) / cases.len() as f64).collect();
+    for (cases, share) in cases.chunks(AT_ONCE).zip(share.chunks(AT_ONCE)) {
+        errors.add(model, cases, share, [stress_factor, bound]);
     }
-    let [rollout, reconstruction, latent] = sums;
+    let [rollout, reconstruction, latent] = errors.sums;
     let score = rollout + 0.25 * reconstruction + 0.05 * latent; // (1)
-    let score = if is_bounded && score.is_finite() { score } else { f64::INFINITY };
-    Score { rollout, reconstruction, latent, nrmse_percent: median(&mut medians), score }
+    let score = if errors.is_bounded && score.is_finite() { score } else { f64::INFINITY };
+    Score { rollout, reconstruction, latent, nrmse_percent: median(&mut errors.nrmse_percent), score }
+}
+
+/// Errors of the cases so far.
+struct Errors {
+    /// Weighted: of the rollout, of the reconstruction, of the latent states.
+    sums: [f64; 3],
+    /// Median over the channels of each case.
+    nrmse_percent: Vec<f64>,
+    is_bounded: bool,
+}
+
+impl Errors {
+    fn add(&mut self, model: &SourceModel, cases: &[Case], share: &[f64], [stress_factor, bound]: [f64; 2]) {
+        let t0 = model.shape.window - 1;
+        let (r, channels) = (model.shape.latent, model.shape.channels);
+        let encoded: Vec<Vec<f32>> = cases.iter().map(|c| model.encode(&c.dense)).collect();
+        let roll = |factor: f32| -> Vec<(Vec<f32>, usize)> {
+            let drives: Vec<Drive> = cases.iter().map(|c| model.shape.drive(&c.u, &c.u_half, factor)).collect();
+            let first: Vec<Vec<f32>> = encoded.iter().map(|z| z[..r].iter().map(|z| z * factor).collect()).collect();
+            let starts: Vec<Start<'_>> =
+                drives.iter().zip(&first).map(|(drive, z0)| Start { z0, drive, from: t0 }).collect();
+            roll_out(model.shape.library(), model.coefficients(), &starts, &model.shape.limits(bound as f32))
+        };
+        let rolled = roll(1.0);
+        let stressed = if stress_factor > 1.0 { roll(stress_factor as f32) } else { Vec::new() };
+        let mut ends = rolled.iter().zip(cases).chain(stressed.iter().zip(cases));
+        self.is_bounded &= ends.all(|((_, valid), case)| *valid == case.u.len() - t0);
+        for (((case, z), (z_roll, _)), share) in cases.iter().zip(&encoded).zip(&rolled).zip(share) {
+            let target = &case.dense[t0 * channels..];
+            let z_roll = &model.shape.visible(z_roll.clone());
+            let response = model.decode(z_roll);
+            self.sums[0] += share * mean_square_error(&response, target);
+            self.sums[1] += share * mean_square_error(&model.decode(z), target);
+            self.sums[2] += share * mean_square_error(z_roll, z);
+            self.nrmse_percent.push(median(&mut nrmse_percent(&response, target, channels)));
+        }
+    }
 }
 
 /// Mean squared difference.

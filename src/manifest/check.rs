@@ -20,6 +20,7 @@ pub fn across(site: &Site, problems: &mut Vec<Problem>) {
         ("calibrate", site.calibrate.problems()),
         ("diagnose", site.diagnose.problems()),
         ("randomisation", site.randomisation.as_ref().map(|r| r.beyond()).unwrap_or_default()),
+        ("training", site.training.beyond()),
         ("executor.slurm", site.executor.slurm.beyond()),
         ("records", site.records.as_ref().map(|r| r.problems()).unwrap_or_default()),
     ];

@@ -18,7 +18,9 @@ pub use document::{Document, Problem};
 pub use draft::{Draft, DraftRecords};
 pub use randomisation::{Randomisation, SiteClass};
 pub use schema::schema;
-pub use sections::{ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, StudySection};
+pub use sections::{
+    ColumnSections, LayerSection, OutputSection, SensorsSection, Site, SiteSection, StudySection, TrainingSection,
+};
 
 pub use table::{LayerRow, layers as profile_table};
 

@@ -7,7 +7,7 @@ use crate::effects::Tolerances;
 use crate::flare::{CalibrateSettings, DistillSettings, PretrainSettings, Recipe};
 use crate::motion::MotionSettings;
 use crate::pipeline::SlurmSettings;
-use crate::ranges::Ranged as _;
+use crate::ranges::{Range, Ranged, range};
 use crate::records::RecordSettings;
 use schemars::JsonSchema;
 use serde::de::DeserializeOwned;
@@ -20,6 +20,28 @@ use std::collections::BTreeMap;
 pub struct ExecutorSection {
     /// A cluster that runs Slurm.
     pub slurm: SlurmSettings,
+}
+
+/// `[training]`: what a training may take of this machine.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct TrainingSection {
+    /// Memory for learning data, GiB; what is more is read from disk as it is needed. 0 is half of what the machine has.
+    pub memory_gib: f64,
+}
+
+impl TrainingSection {
+    /// Budget where the machine has `machine_bytes`, bytes; none where neither is said.
+    pub fn memory_bytes(&self, machine_bytes: Option<f64>) -> f64 {
+        match self.memory_gib {
+            gib if gib > 0.0 => gib * f64::from(1 << 30),
+            _ => 0.5 * machine_bytes.unwrap_or(f64::INFINITY),
+        }
+    }
+}
+
+impl Ranged for TrainingSection {
+    const RANGES: &'static [Range<Self>] = &[range!(memory_gib, "GiB", 0.0, 1e6)];
 }
 
 /// A site manifest.
@@ -71,6 +93,9 @@ pub struct Site {
     /// Search and decision of the diagnosis.
     #[serde(default)]
     pub diagnose: DiagnoseSettings,
+    /// What a training may take of this machine; its result does not depend on it.
+    #[serde(default)]
+    pub training: TrainingSection,
     /// Where ensembles are computed with `--executor`.
     #[serde(default)]
     pub executor: ExecutorSection,

@@ -1,9 +1,10 @@
 //! Manifest section `[motions]`: how many base motions, how strong, how long, with what frequencies.
 
-use super::cases::parse_cases;
+use super::cases::{MOST_CASES, parse_cases};
 use crate::ranges::{Range, Ranged, range};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 /// Suite of synthetic base motions (manifest section `[motions]`).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -66,7 +67,7 @@ pub struct Band {
 
 impl Ranged for MotionSettings {
     const RANGES: &'static [Range<Self>] = &[
-        range!(count, "", 1.0, 9999.0),
+        range!(count, "", 1.0, MOST_CASES as f64),
         range!(step_s, "s", 1e-4, 0.05),
         range!(duration_s, "s", 4.0, 600.0),
         range!(low_hz, "Hz", 0.05, 5.0),
@@ -153,7 +154,7 @@ impl MotionSettings {
     }
 
     fn split_problems(&self, say: &mut dyn FnMut(&str, String)) {
-        let mut taken = Vec::new();
+        let mut taken = BTreeSet::new();
         for (key, text) in [("train", &self.train), ("validation", &self.validation)] {
             match parse_cases(text) {
                 Err(error) => say(key, error.what().to_string()),
@@ -163,11 +164,10 @@ impl MotionSettings {
                             say(key, format!("case {case} in `{text}` is beyond `count` = {}", self.count));
                             break;
                         }
-                        if taken.contains(&case) {
+                        if !taken.insert(case) {
                             say(key, format!("case {case} is in both `train` and `validation`"));
                             break;
                         }
-                        taken.push(case);
                     }
                 }
             }

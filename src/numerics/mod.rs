@@ -11,4 +11,5 @@ pub mod random;
 pub mod resample;
 pub mod smooth;
 pub mod spectrum;
+pub mod spill;
 pub mod threads;

@@ -1,7 +1,7 @@
 //! Stage 3: the latent coefficients of one component from its measured events.
 
 use super::instrument::{Concern, Instrument, by_event, narrow};
-use super::{dataset, records};
+use super::{budget, dataset, records};
 use crate::dataset::{Coarse, Normalisation};
 use crate::error::{Error, Result};
 use crate::flare::{
@@ -29,6 +29,10 @@ impl Stage for Calibrate {
 
     fn reads(&self) -> &'static [&'static str] {
         READS
+    }
+
+    fn unkeyed(&self) -> &'static [&'static str] {
+        budget::UNKEYED
     }
 
     fn narrow(&self, parameters: &mut toml::Table) {
@@ -89,7 +93,7 @@ impl Bench {
         };
         let (train, validation) = (events(Split::Train), events(Split::Validation));
         let simulations = match settings.metric {
-            Metric::Field => dataset::cases(task.input("dataset")?, &card.train)?,
+            Metric::Field => dataset::cases(task.input("dataset")?, &card.train, &budget::spill(task)?)?,
             Metric::Coefficients => Vec::new(),
         };
         Ok(Self { settings, model, normalisation, encoder, observation, simulations, train, validation })

@@ -1,5 +1,6 @@
 //! What an ensemble will take, before it is run: time by a short stretch of its column on this machine, memory and disk by what is kept.
 
+use super::budget::machine_bytes;
 use crate::column::Column;
 use crate::error::{Error, Result};
 use crate::manifest::Site;
@@ -11,7 +12,7 @@ use std::time::Instant;
 const PROBE: usize = 100_000;
 /// Steps of that stretch at the most: a fast column needs no more.
 const PROBE_STEPS: usize = 200;
-/// A decoded trajectory beside the bytes it is read from, and a learning set beside what is written of it.
+/// A decoded trajectory beside the bytes it is read from; a learning set beside what is made of it.
 const COPIES: f64 = 2.0;
 /// What nothing of this counts: the program, a column, a report.
 const ELSE_BYTES: f64 = 6e7;
@@ -40,7 +41,8 @@ impl Cost {
         let channels = (site.pretrain.channels as f64).min(elements);
         let set_bytes = count * samples(site.pretrain.step_s) * 4.0 * (2.0 + channels + sensors);
         let suite_bytes = count * samples(motions.step_s) * 8.0;
-        let reading_bytes = COPIES * workers * trajectory_bytes + 2.0 * COPIES * set_bytes;
+        let learning_bytes = (2.0 * COPIES * set_bytes).min(site.training.memory_bytes(machine_bytes()));
+        let reading_bytes = COPIES * workers * trajectory_bytes + learning_bytes;
         Self {
             time_s: samples(analysis.max_step_s) * step_time_s(site, column) * (count / workers).ceil(),
             memory_bytes: ELSE_BYTES + suite_bytes.max(reading_bytes),
@@ -53,7 +55,7 @@ impl Cost {
     /// # Errors
     /// When it asks for more than there is.
     pub fn check(&self) -> Result<()> {
-        let Some(available) = memory_bytes().filter(|available| self.memory_bytes > *available) else { return Ok(()) };
+        let Some(available) = machine_bytes().filter(|available| self.memory_bytes > *available) else { return Ok(()) };
         let what = format!(
             "the ensemble needs some {:.1} GB of memory, this machine has {:.1} GB",
             self.memory_bytes / 1e9,
@@ -78,16 +80,6 @@ fn step_time_s(site: &Site, column: &Column) -> f64 {
     // Where the column does not finish, the time that it took is told all the same.
     let _ = column.run(step_s, &motion, &mut |_| Ok(()));
     start.elapsed().as_secs_f64() / n as f64
-}
-
-/// Memory of this machine, or of what holds this process, bytes; none where it is not said.
-fn memory_bytes() -> Option<f64> {
-    let text = |path: &str| std::fs::read_to_string(path).ok();
-    let total_kib = text("/proc/meminfo")?
-        .lines()
-        .find_map(|line| line.strip_prefix("MemTotal:")?.trim().trim_end_matches("kB").trim().parse::<f64>().ok())?;
-    let held = text("/sys/fs/cgroup/memory.max").and_then(|text| text.trim().parse::<f64>().ok());
-    Some(held.unwrap_or(f64::INFINITY).min(1024.0 * total_kib))
 }
 
 #[cfg(test)]

@@ -1,22 +1,28 @@
 //! The compact learning set: trajectories at the step of the latent model, normalised, in one file.
 
 use super::artifact::{read_json, write_json};
-use crate::dataset::{Coarse, Index, Normalisation, pick_channels, read_trajectory};
+use super::budget;
+use crate::dataset::{Accumulator, Coarse, Index, Normalisation, pick_channels, read_trajectory};
 use crate::error::{Context, Error, Result};
 use crate::flare::{self, Case, Observation};
+use crate::numerics::spill::{Spill, Values, mapped};
 use crate::pipeline::{Stage, Task};
 use crate::records::Split;
 use rayon::prelude::*;
-use safetensors::{Dtype, SafeTensors, tensor::TensorView};
+use safetensors::tensor::{Dtype, SafeTensors, View, serialize_to_file};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Decimates and normalises the trajectories.
 pub struct Dataset;
 
 const CARD: &str = "dataset.json";
 const TENSORS: &str = "dataset.safetensors";
+/// Trajectories that are decoded together.
+const AT_ONCE: usize = 64;
 
 /// What the numbers of the learning set mean.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -76,6 +82,10 @@ impl Stage for Dataset {
         &["pretrain.channels", "pretrain.step_s"]
     }
 
+    fn unkeyed(&self) -> &'static [&'static str] {
+        budget::UNKEYED
+    }
+
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let step_s: f64 = task.section("pretrain.step_s")?;
         let folder = task.input("simulate")?;
@@ -84,52 +94,109 @@ impl Stage for Dataset {
         let files: Vec<_> =
             [Split::Train, Split::Validation].into_iter().flat_map(|s| index.files(folder, s)).collect();
         task.progress().start("trajectories", files.len() as u64);
-        let cases: Vec<Coarse> = files
-            .par_iter()
-            .map(|(_, file)| {
+        let ids = |split| index.files(folder, split).map(|(id, _)| id.to_string()).collect::<Vec<_>>();
+        let train = ids(Split::Train);
+        let spill = budget::spill(task)?;
+        let (mut scales, mut series) = (Accumulator::default(), Vec::with_capacity(files.len()));
+        for some in files.chunks(AT_ONCE) {
+            let decoded = |(_, file): &(&str, PathBuf)| {
                 let coarse = Coarse::of_trajectory(&read_trajectory(file)?, step_s, &channels);
                 task.progress().advance(1);
                 Ok(coarse)
-            })
-            .collect::<Result<_>>()?;
-        let ids = |split| index.files(folder, split).map(|(id, _)| id.to_string()).collect::<Vec<_>>();
-        let train = ids(Split::Train);
+            };
+            for coarse in some.par_iter().map(decoded).collect::<Result<Vec<Coarse>>>()? {
+                if series.len() < train.len() {
+                    scales.add(&coarse)?;
+                }
+                series.push(Series::of(coarse, &spill)?);
+            }
+        }
         let card = Card {
             step_s,
             validation: ids(Split::Validation),
             channel_depth_m: channels.iter().map(|c| index.depth_m[*c]).collect(),
             sensors: index.sensors.iter().map(|s| s.name.clone()).collect(),
             sensor_depth_m: index.sensors.iter().map(|s| s.depth_m).collect(),
-            normalisation: Normalisation::of(&cases[..train.len()])?,
+            normalisation: scales.finish()?,
             train,
         };
-        write_tensors(&task.output_dir().join(TENSORS), &cases, &card.normalisation)?;
-        write_json(&task.output_dir().join(CARD), &card)
+        let path = task.output_dir().join(CARD);
+        write_json(&path, &card)?;
+        write_tensors(&task.output_dir().join(TENSORS), &series, &card.normalisation)?;
+        // It is written for its owner alone, and whoever reads the one is to read the other.
+        let readers = fs::metadata(&path).map(|card| card.permissions());
+        readers
+            .and_then(|readers| fs::set_permissions(task.output_dir().join(TENSORS), readers))
+            .context(|| format!("cannot share `{TENSORS}`"))
     }
 }
 
-fn write_tensors(path: &Path, cases: &[Coarse], normalisation: &Normalisation) -> Result<()> {
-    let mut tensors: Vec<(String, Vec<usize>, Vec<u8>)> = Vec::new();
-    for case in cases {
-        let n = case.n_step();
-        let mut add = |name: &str, shape: Vec<usize>, values: Vec<f32>| {
-            let bytes = values.iter().flat_map(|v| v.to_le_bytes()).collect();
-            tensors.push((format!("{}.{name}", case.id), shape, bytes));
-        };
-        add("u", vec![n], normalisation.base(&case.base_m_s2));
-        add("u_half", vec![case.base_half_m_s2.len()], normalisation.base(&case.base_half_m_s2));
-        add("dense", vec![n, case.n_dense], normalisation.dense(&case.dense_m_s2));
-        add("sparse", vec![n, case.n_sparse], normalisation.sparse(&case.sparse_m_s2));
-    }
-    let what = || format!("cannot write `{}`", path.display());
-    let views = tensors
-        .iter()
-        .map(|(name, shape, bytes)| {
-            Ok((name.as_str(), TensorView::new(Dtype::F32, shape.clone(), bytes).context(what)?))
+/// A trajectory at the step of the latent model, m/s².
+struct Series {
+    id: String,
+    base: Values<f64>,
+    base_half: Values<f64>,
+    n_dense: usize,
+    dense: Values<f64>,
+    n_sparse: usize,
+    sparse: Values<f64>,
+}
+
+impl Series {
+    fn of(coarse: Coarse, spill: &Spill) -> Result<Self> {
+        Ok(Self {
+            id: coarse.id,
+            base: spill.keep(coarse.base_m_s2)?,
+            base_half: spill.keep(coarse.base_half_m_s2)?,
+            n_dense: coarse.n_dense,
+            dense: spill.keep(coarse.dense_m_s2)?,
+            n_sparse: coarse.n_sparse,
+            sparse: spill.keep(coarse.sparse_m_s2)?,
         })
-        .collect::<Result<Vec<_>>>()?;
-    let bytes = safetensors::serialize(views, None).context(what)?;
-    fs::write(path, bytes).context(what)
+    }
+}
+
+/// A series in units of the scales of its columns, made when it is written.
+struct Normalised<'a> {
+    values_m_s2: &'a [f64],
+    shape: Vec<usize>,
+    normalise: &'a (dyn Fn(&[f64]) -> Vec<f32> + 'a),
+}
+
+impl View for Normalised<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        (self.normalise)(self.values_m_s2).iter().flat_map(|v| v.to_le_bytes()).collect()
+    }
+
+    fn data_len(&self) -> usize {
+        size_of::<f32>() * self.values_m_s2.len()
+    }
+}
+
+fn write_tensors(path: &Path, series: &[Series], normalisation: &Normalisation) -> Result<()> {
+    let base = |x: &[f64]| normalisation.base(x);
+    let dense = |x: &[f64]| normalisation.dense(x);
+    let sparse = |x: &[f64]| normalisation.sparse(x);
+    let mut tensors: Vec<(String, Normalised<'_>)> = Vec::with_capacity(4 * series.len());
+    for case in series {
+        let n = case.base.len();
+        let mut add = |name: &str, shape: Vec<usize>, values_m_s2, normalise| {
+            tensors.push((format!("{}.{name}", case.id), Normalised { values_m_s2, shape, normalise }));
+        };
+        add("u", vec![n], &case.base, &base);
+        add("u_half", vec![case.base_half.len()], &case.base_half, &base);
+        add("dense", vec![n, case.n_dense], &case.dense, &dense);
+        add("sparse", vec![n, case.n_sparse], &case.sparse, &sparse);
+    }
+    serialize_to_file(tensors, None, path).context(|| format!("cannot write `{}`", path.display()))
 }
 
 /// The card of a learning set.
@@ -140,18 +207,25 @@ pub fn card(folder: &Path) -> Result<Card> {
     read_json(&folder.join(CARD))
 }
 
-/// The cases `ids` of the learning set in `folder`.
+/// The cases `ids` of the learning set in `folder`, in the memory of `spill` where it has room for all of the set, else read from the
+/// file as they are needed.
 ///
 /// # Errors
 /// When the file is absent, damaged, or lacks a case.
-pub fn cases(folder: &Path, ids: &[String]) -> Result<Vec<Case>> {
+pub fn cases(folder: &Path, ids: &[String], spill: &Spill) -> Result<Vec<Case>> {
     let path = folder.join(TENSORS);
     let what = || format!("cannot read `{}`", path.display());
-    let bytes = fs::read(&path).context(what)?;
-    let tensors = SafeTensors::deserialize(&bytes).context(what)?;
-    let floats = |name: String| -> Result<Vec<f32>> {
-        let view = tensors.tensor(&name).map_err(|e| Error::new(what()).cause(e))?;
-        Ok(view.data().chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect())
+    let file = fs::File::open(&path).context(what)?;
+    let map = Arc::new(mapped(&file).context(what)?);
+    let tensors = SafeTensors::deserialize(&map).context(what)?;
+    let is_held = spill.has_room(map.len());
+    let floats = |name: String| -> Result<Values<f32>> {
+        let data = tensors.tensor(&name).map_err(|e| Error::new(what()).cause(e))?.data();
+        if is_held {
+            return spill.keep(data.as_chunks().0.iter().map(|b| f32::from_le_bytes(*b)).collect());
+        }
+        let start = data.as_ptr() as usize - map.as_ptr() as usize;
+        Values::mapped(&map, start..start + data.len()).map_err(|e| Error::new(what()).cause(e))
     };
     let case = |id: &String| {
         Ok(Case {

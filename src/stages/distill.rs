@@ -1,7 +1,7 @@
 //! Stage 2: the sparse-sensor encoder.
 
 use super::artifact::{read_json, write_json};
-use super::dataset;
+use super::{budget, dataset};
 use crate::error::Result;
 use crate::flare::{Case, DistillSettings, Observation, SourceModel, SparseEncoder, distill, reconstruct};
 use crate::metrics::nrmse_percent;
@@ -39,16 +39,20 @@ impl Stage for Distill {
         &["distill", "motions.seed"]
     }
 
+    fn unkeyed(&self) -> &'static [&'static str] {
+        budget::UNKEYED
+    }
+
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let settings: DistillSettings = task.section("distill")?;
         let folder = task.input("dataset")?;
         let card = dataset::card(folder)?;
         let (model, _) = SourceModel::load(task.input("pretrain")?)?;
-        let train = dataset::cases(folder, &card.train)?;
-        let validation = dataset::cases(folder, &card.validation)?;
+        let training = budget::training(task)?;
+        let train = dataset::cases(folder, &card.train, &training.spill)?;
+        let validation = dataset::cases(folder, &card.validation, &training.spill)?;
         let seed: u64 = task.section("motions.seed")?;
-        let (encoder, history) =
-            distill(&model, &train, &validation, &settings, seed, Some(task.checkpoint_dir()?), task.progress())?;
+        let (encoder, history) = distill(&model, &train, &validation, &settings, seed, &training)?;
         let observation = card.observation();
         encoder.save(task.output_dir(), &observation)?;
         history.save(&task.output_dir().join("history.csv"))?;

@@ -50,6 +50,10 @@ impl Stage for Extend {
         super::calibrate::READS
     }
 
+    fn unkeyed(&self) -> &'static [&'static str] {
+        super::budget::UNKEYED
+    }
+
     fn narrow(&self, parameters: &mut toml::Table) {
         narrow(parameters, Concern::Sensors);
     }

@@ -1,6 +1,7 @@
 //! Stages: glue only. Each reads its inputs, calls the domain, and writes its outputs; the mathematics lives elsewhere.
 
 mod artifact;
+mod budget;
 mod calibrate;
 mod ceiling;
 mod closed;

@@ -1,7 +1,7 @@
 //! Stage 1: encoder, latent equations and decoder from the dense simulations.
 
 use super::artifact::{read_json, write_json};
-use super::dataset;
+use super::{budget, dataset};
 use crate::error::Result;
 use crate::flare::{Case, Guard, PretrainSettings, SourceModel, pretrain};
 use crate::metrics::nrmse_percent;
@@ -43,15 +43,19 @@ impl Stage for Pretrain {
         &["pretrain", "motions.seed"]
     }
 
+    fn unkeyed(&self) -> &'static [&'static str] {
+        budget::UNKEYED
+    }
+
     fn run(&self, task: &Task<'_>) -> Result<()> {
         let settings: PretrainSettings = task.section("pretrain")?;
         let folder = task.input("dataset")?;
         let card = dataset::card(folder)?;
-        let train = dataset::cases(folder, &card.train)?;
-        let validation = dataset::cases(folder, &card.validation)?;
+        let training = budget::training(task)?;
+        let train = dataset::cases(folder, &card.train, &training.spill)?;
+        let validation = dataset::cases(folder, &card.validation, &training.spill)?;
         let seed: u64 = task.section("motions.seed")?;
-        let (mut model, history) =
-            pretrain(&train, &validation, &settings, seed, Some(task.checkpoint_dir()?), task.progress())?;
+        let (mut model, history) = pretrain(&train, &validation, &settings, seed, &training)?;
         model.limit_softly(&train, settings.limit_factor);
         model.save(task.output_dir(), &card.source_normalisation())?;
         history.save(&task.output_dir().join("history.csv"))?;

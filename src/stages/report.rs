@@ -10,6 +10,7 @@ use crate::flare::{Calibration, Guard, SourceModel, SparseEncoder, reconstruct};
 use crate::metrics::{DAMPING, Quartiles, log_periods_s, median, psa, timewise_error_percent};
 use crate::motion::{MotionSettings, parse_cases};
 use crate::numerics::resample::resample_band_limited;
+use crate::numerics::spill::Spill;
 use crate::pipeline::{Stage, Task};
 use crate::records::Split;
 use crate::report::content::{
@@ -234,7 +235,7 @@ fn pretrain_content(task: &Task<'_>) -> Result<PretrainContent> {
     let cases = pretrain::validation(folder)?;
     let shown: Vec<String> = card.validation.iter().take(1).cloned().collect();
     let mut field = None;
-    for case in dataset::cases(data, &shown)? {
+    for case in dataset::cases(data, &shown, &Spill::none())? {
         let skip = (model.shape.window - 1) * model.shape.channels;
         let physical = |rows: &[f32]| -> Vec<f32> {
             card.normalisation.dense_to_m_s2(rows).into_iter().map(|v| v as f32).collect()
@@ -273,7 +274,7 @@ fn distill_content(task: &Task<'_>) -> Result<DistillContent> {
     let shown: Vec<String> = card.validation.iter().take(1).cloned().collect();
     let n = encoder.n_sensor;
     let mut traces = Vec::new();
-    for case in dataset::cases(data, &shown)? {
+    for case in dataset::cases(data, &shown, &Spill::none())? {
         let target = card.normalisation.sparse_to_m_s2(&case.sparse[(encoder.window - 1) * n..]);
         let seen = card.normalisation.sparse_to_m_s2(&reconstruct(&model, &encoder, &observation, &case.sparse));
         for (j, sensor) in observation.sensors.iter().enumerate() {

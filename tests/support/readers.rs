@@ -2,7 +2,7 @@
 
 use flare_pipe::error::{Error, Result};
 use flare_pipe::flare::{
-    DistillSettings, Normalisation, PretrainSettings, SourceModel, SparseEncoder, distill, pretrain,
+    DistillSettings, Normalisation, PretrainSettings, SourceModel, SparseEncoder, Training, distill, pretrain,
 };
 use flare_pipe::manifest::Manifest;
 use flare_pipe::pipeline::Recipe;
@@ -248,7 +248,14 @@ fn resumed(folder: &Path) -> Result<SourceModel> {
     fs::create_dir_all(folder).expect("made");
     let (cases, _) = small_column().cases(3);
     let settings = PretrainSettings { validate_every: 1, checkpoint_every: 1, ..small_training() };
-    pretrain(&cases[..3], &cases[3..], &settings, 1, Some(folder), &Quiet).map(|(model, _)| model)
+    pretrain(
+        &cases[..3],
+        &cases[3..],
+        &settings,
+        1,
+        &Training { checkpoint_dir: Some(folder), ..Training::in_memory(&Quiet) },
+    )
+    .map(|(model, _)| model)
 }
 
 /// Goes on from a state, whatever it is, and asserts that what comes of it is what comes of none.
@@ -282,10 +289,10 @@ fn small_training() -> PretrainSettings {
 fn trained(folder: &Path, is_sparse: bool) -> Result<()> {
     fs::create_dir_all(folder).expect("made");
     let (cases, observation) = small_column().cases(3);
-    let (model, _) = pretrain(&cases[..3], &cases[3..], &small_training(), 1, None, &Quiet)?;
+    let (model, _) = pretrain(&cases[..3], &cases[3..], &small_training(), 1, &Training::in_memory(&Quiet))?;
     if is_sparse {
         let settings = DistillSettings { window: 5, hidden: vec![4], epochs: 1, ..Default::default() };
-        let (encoder, _) = distill(&model, &cases[..3], &cases[3..], &settings, 1, None, &Quiet)?;
+        let (encoder, _) = distill(&model, &cases[..3], &cases[3..], &settings, 1, &Training::in_memory(&Quiet))?;
         return encoder.save(folder, &observation);
     }
     let (channel_depth_m, dense_std_m_s2) = (observation.channel_depth_m, observation.dense_std_m_s2);

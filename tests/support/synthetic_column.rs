@@ -101,8 +101,8 @@ impl Synthetic {
             id: format!("{:03}", i + 1),
             u: (0..n_step).map(|t| (at(&s.base, t * STRIDE) / input_std) as f32).collect(),
             u_half: (0..n_step - 1).map(|t| (at(&s.base, t * STRIDE + STRIDE / 2) / input_std) as f32).collect(),
-            dense: gather(&observation.channel_depth_m, &observation.dense_std_m_s2),
-            sparse: gather(&observation.sensor_depth_m, &observation.sparse_std_m_s2),
+            dense: gather(&observation.channel_depth_m, &observation.dense_std_m_s2).into(),
+            sparse: gather(&observation.sensor_depth_m, &observation.sparse_std_m_s2).into(),
         }
     }
 
