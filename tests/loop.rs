@@ -194,6 +194,20 @@ fn what_is_missing_is_named_from_sealed_records_and_correcting_it_pays_on_held_o
     check.current_dir(env!("CARGO_MANIFEST_DIR")).arg("check").arg(&corrected).assert().success();
     assert!(fs::read_to_string(corrected).expect("written").contains("kind = \"sensor_orientation\""));
     assert!(place.run(&[]).is_empty(), "everything is cached, the truth still gone");
+    // Replays are for a diagnosis that goes on: nothing that is done needs them.
+    let replays = || {
+        let entries = fs::read_dir(place.path("runs/cache")).expect("a cache").flatten();
+        entries.filter(|e| e.file_name().to_string_lossy().starts_with("replayed-")).map(|e| e.path()).next()
+    };
+    let count = |folder: Option<PathBuf>| folder.map_or(0, |f| fs::read_dir(f).expect("a folder").count());
+    assert!(count(replays()) > 100);
+    // The manifest as it stands there was begun and never finished: what was run has settings besides.
+    fs::rename(place.path("site.toml"), place.path("site.away")).expect("renamed");
+    let mut gc = Command::cargo_bin("flare-pipe").expect("the program is built");
+    gc.arg("gc").arg("--yes").arg("--run-dir").arg(place.path("runs")).assert().success();
+    fs::rename(place.path("site.away"), place.path("site.toml")).expect("renamed");
+    assert_eq!(count(replays()), 0);
+    assert!(place.run(&[]).is_empty(), "everything that lasts is still there");
     place.export();
 
     // The same loop without FLARE-T compares the same replays, over whole records.

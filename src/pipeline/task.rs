@@ -184,12 +184,40 @@ impl Task<'_> {
         items: &[Item],
         compute: impl Fn(usize, &Path) -> Result<()> + Sync,
     ) -> Result<Vec<ItemOutcome>> {
+        let records = self.computed(kind, version, items, &compute)?;
+        self.records.lock().unwrap_or_else(PoisonError::into_inner).insert(records.clone());
+        Ok(records.into_iter().map(|record| outcome(self.store, record)).collect())
+    }
+
+    /// As [`Task::items`], but the items are no part of the output: they are there for the stage to go on, or to be repeated with other
+    /// settings, until `gc` takes them.
+    ///
+    /// # Errors
+    /// As [`Task::items`].
+    pub fn passing_items(
+        &self,
+        kind: &str,
+        version: u32,
+        items: &[Item],
+        compute: impl Fn(usize, &Path) -> Result<()> + Sync,
+    ) -> Result<Vec<ItemOutcome>> {
+        let records = self.computed(kind, version, items, &compute)?;
+        Ok(records.into_iter().map(|record| outcome(self.store, record)).collect())
+    }
+
+    fn computed(
+        &self,
+        kind: &str,
+        version: u32,
+        items: &[Item],
+        compute: &(dyn Fn(usize, &Path) -> Result<()> + Sync),
+    ) -> Result<Vec<ItemRecord>> {
         let ensemble = Ensemble {
             store: self.store,
             permits: self.permits,
             progress: self.progress,
             is_forced: self.is_forced,
-            compute: &compute,
+            compute,
             submission: self.slurm.map(|slurm| Submission {
                 slurm,
                 stage: self.name,
@@ -197,9 +225,7 @@ impl Task<'_> {
             }),
             shard: self.shard,
         };
-        let records = ensemble.run(kind, version, items)?;
-        self.records.lock().unwrap_or_else(PoisonError::into_inner).insert(records.clone());
-        Ok(records.into_iter().map(|record| outcome(self.store, record)).collect())
+        ensemble.run(kind, version, items)
     }
 }
 

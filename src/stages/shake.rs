@@ -1,5 +1,6 @@
 //! The nonlinear column under true base motions. In a stage all motions that are asked for together have one cache entry, named by
-//! the columns that are shaken, how they are stepped, and the motions: replays of different stages and manifests share them.
+//! the columns that are shaken, how they are stepped, and the motions: replays of different stages and manifests share them. A diagnosis has
+//! some ten thousand; they are part of no output.
 
 use crate::column::{self, Column, Profile};
 use crate::dataset::all_sensor_histories;
@@ -88,7 +89,7 @@ pub fn shake(
     };
     let Some(task) = task else { return Ok(run_all()) };
     let item = item(&profiles, &shaken, (sections, &depths_m), motions)?;
-    let outcome = task.items(REPLAY.0, REPLAY.1, &[item], |_, folder| write(folder, &run_all()))?;
+    let outcome = task.passing_items(REPLAY.0, REPLAY.1, &[item], |_, folder| write(folder, &run_all()))?;
     let folder = outcome.into_iter().map(|o| o.output).next().unwrap_or_else(|| Err("nothing was computed".into()));
     read(&folder.map_err(|reason| Error::new("the column cannot be shaken").cause(reason))?)
 }
