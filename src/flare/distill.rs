@@ -159,7 +159,7 @@ impl Sizes {
 }
 
 /// A case or its mirror image: windows of its sensors beside the latent states of the dense windows that end with them.
-struct Part<'a> {
+struct Sequence<'a> {
     sparse: &'a [f32],
     sign: f32,
     weight: f32,
@@ -176,7 +176,7 @@ struct Pairs<'a> {
     sizes: Sizes,
     n_row: usize,
     n_sign: usize,
-    parts: Vec<Part<'a>>,
+    parts: Vec<Sequence<'a>>,
 }
 
 /// One row of the pairs.
@@ -204,7 +204,7 @@ impl<'a> Pairs<'a> {
                 z.drain(..(first + 1 - model.shape.window) * sizes.latent);
                 let rows = z.len() / sizes.latent;
                 let z = spill.keep(z)?;
-                parts.push(Part { sparse: &case.sparse, sign: *sign, weight: *weight, first_row: n_row, first, z });
+                parts.push(Sequence { sparse: &case.sparse, sign: *sign, weight: *weight, first_row: n_row, first, z });
                 n_row += rows;
             }
         }
@@ -286,7 +286,7 @@ mod tests {
         let sparse = draw(3 * n_row);
         let part = |sign: f32, weight: f32, first_row: usize, z: Vec<f32>| {
             let (sparse, first) = (&sparse[3 * first_row..], 0);
-            Part { sparse, sign, weight, first_row, first, z: z.into() }
+            Sequence { sparse, sign, weight, first_row, first, z: z.into() }
         };
         let parts = vec![part(1.0, 0.7, 0, draw(2 * 130)), part(-1.0, 1.6, 130, draw(2 * (n_row - 130)))];
         let pairs = Pairs { sizes, n_row, n_sign: 1, parts };

@@ -9,19 +9,19 @@ use crate::pipeline::Task;
 /// What stages that keep learning data have unkeyed: whatever it is, their output is the same.
 pub const UNKEYED: &[&str] = &["training.memory_gib"];
 
-/// Where a stage keeps learning data: as `[training]` says in memory, and what is more beside its output.
+/// Where a stage keeps learning data: as `[training]` says in memory, and what is more beside its state.
 ///
 /// # Errors
-/// When the section is of another type.
+/// When the section is of another type, or there is no folder for its state.
 pub fn spill(task: &Task<'_>) -> Result<Spill> {
     let section: TrainingSection = task.section("training")?;
-    Ok(Spill::new(section.memory_bytes(machine_bytes()) as usize, task.output_dir()))
+    Ok(Spill::new(section.memory_bytes(machine_bytes()) as usize, task.checkpoint_dir()?))
 }
 
 /// What a training of `task` is given.
 ///
 /// # Errors
-/// As [`spill`], or when there is no folder for its state.
+/// As [`spill`].
 pub fn training<'a>(task: &'a Task<'_>) -> Result<Training<'a>> {
     Ok(Training { checkpoint_dir: Some(task.checkpoint_dir()?), spill: spill(task)?, progress: task.progress() })
 }
