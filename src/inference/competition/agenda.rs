@@ -35,7 +35,8 @@ impl<'a> Competition<'a> {
     }
 
     /// The models to be looked around under `labels`: the leading one less each of its effects, and what is nearly as probable, or, where
-    /// something is lacking, the best of each number of effects.
+    /// something is lacking, the best of each number of effects: of one more than the leading model has where a response without a name does
+    /// better than all that has one, for effects that explain together what none of them explains alone gain nothing one by one.
     fn agenda(&self, labels: &[Label], is_lacking: bool) -> Vec<Vec<Instance>> {
         let leading = self.leading(labels);
         let effects = &leading.model.effects;
@@ -47,7 +48,8 @@ impl<'a> Competition<'a> {
         let mut own: Vec<&Fit<'a>> = self.fits.iter().filter(is_own).collect();
         self.best_first(&mut own);
         let close = if is_lacking {
-            own.retain(|fit| fit.model.effects.len() <= effects.len());
+            let is_outdone = self.best_of(|fit| fit.labels() == labels).is_some_and(|best| !best.model.is_named());
+            own.retain(|fit| fit.model.effects.len() <= effects.len() + usize::from(is_outdone));
             best_of_each_number(own, |fit| fit.model.effects.clone())
         } else {
             let least = self.log_posterior(leading) - WINDOW;
@@ -82,4 +84,42 @@ pub(super) fn best_of_each_number<T>(all: Vec<T>, of: impl Fn(&T) -> Vec<Instanc
         by_number[number].push(one);
     }
     by_number.into_iter().flat_map(|alike| distinct(alike, &of)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::super::made_up::{Truth, Uniform, as_declared, in_competition, problem};
+    use super::super::{Start, effects, is_same_set};
+    use super::*;
+    use crate::inference::parameters::Model;
+
+    #[test]
+    fn pairs_behind_a_single_effect_are_looked_around_where_what_has_no_name_is_ahead() {
+        let problem = problem(&Truth { events: 2, ..Truth::default() });
+        in_competition(&problem, &Uniform(&problem), as_declared, |mut competition| {
+            let labels = competition.fits[0].labels().to_vec();
+            let declared = competition.fits[0].model.declared;
+            let of = |kind: &str| competition.instances.iter().find(|i| i.kind == kind).cloned().expect("a candidate");
+            let [ahead, one, other] = ["sensor_gain", "clock_offset", "sensor_orientation"].map(of);
+            let unnamed = effects::unnamed(&problem.array).swap_remove(0);
+            let pair = vec![one.clone(), other.clone()];
+            let sets = [vec![ahead], vec![one], vec![other], pair.clone(), vec![unnamed]];
+            let mut has_pair = |reached: [f64; 5]| {
+                competition.fits.truncate(1);
+                for (effects, ln_odds) in sets.iter().zip(reached) {
+                    let starts = effects.iter().flat_map(Instance::start);
+                    let x = vec![0.0; declared.len()].into_iter().chain(starts).collect();
+                    let model = Model { declared, effects: effects.clone() };
+                    let mut fit = competition.fitter.fit(Start::at(model, x), Stop::WHERE_IT_IS).expect("a fit");
+                    fit.cost += competition.log_posterior(&fit) - competition.log_posterior(&competition.fits[0]);
+                    fit.cost -= ln_odds;
+                    competition.fits.push(fit);
+                }
+                competition.agenda(&labels, true).iter().any(|set| is_same_set(set, &pair))
+            };
+            assert!(has_pair([10.0, -5.0, -6.0, 4.0, 12.0]));
+            assert!(!has_pair([10.0, -5.0, -6.0, 4.0, 8.0]), "what has a name does as well");
+            assert!(!has_pair([10.0, -5.0, -6.0, -7.0, 12.0]), "one of the two does as well");
+        });
+    }
 }
