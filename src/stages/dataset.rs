@@ -9,10 +9,10 @@ use crate::numerics::spill::{Spill, Values, mapped};
 use crate::pipeline::{Stage, Task};
 use crate::records::Split;
 use rayon::prelude::*;
-use safetensors::tensor::{Dtype, SafeTensors, View, serialize_to_file};
+use safetensors::tensor::{Dtype, Metadata, SafeTensors, TensorInfo};
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
 use std::fs;
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -120,14 +120,8 @@ impl Stage for Dataset {
             normalisation: scales.finish()?,
             train,
         };
-        let path = task.output_dir().join(CARD);
-        write_json(&path, &card)?;
         write_tensors(&task.output_dir().join(TENSORS), &series, &card.normalisation)?;
-        // It is written for its owner alone, and whoever reads the one is to read the other.
-        let readers = fs::metadata(&path).map(|card| card.permissions());
-        readers
-            .and_then(|readers| fs::set_permissions(task.output_dir().join(TENSORS), readers))
-            .context(|| format!("cannot share `{TENSORS}`"))
+        write_json(&task.output_dir().join(CARD), &card)
     }
 }
 
@@ -158,45 +152,48 @@ impl Series {
 
 /// A series in units of the scales of its columns, made when it is written.
 struct Normalised<'a> {
+    name: String,
     values_m_s2: &'a [f64],
     shape: Vec<usize>,
-    normalise: &'a (dyn Fn(&[f64]) -> Vec<f32> + 'a),
+    normalise: &'a dyn Fn(&[f64]) -> Vec<f32>,
 }
 
-impl View for Normalised<'_> {
-    fn dtype(&self) -> Dtype {
-        Dtype::F32
-    }
-
-    fn shape(&self) -> &[usize] {
-        &self.shape
-    }
-
-    fn data(&self) -> Cow<'_, [u8]> {
-        (self.normalise)(self.values_m_s2).iter().flat_map(|v| v.to_le_bytes()).collect()
-    }
-
-    fn data_len(&self) -> usize {
-        size_of::<f32>() * self.values_m_s2.len()
-    }
-}
-
+/// Writes the series one by one: all of them need not fit into memory.
 fn write_tensors(path: &Path, series: &[Series], normalisation: &Normalisation) -> Result<()> {
     let base = |x: &[f64]| normalisation.base(x);
     let dense = |x: &[f64]| normalisation.dense(x);
     let sparse = |x: &[f64]| normalisation.sparse(x);
-    let mut tensors: Vec<(String, Normalised<'_>)> = Vec::with_capacity(4 * series.len());
+    let mut tensors: Vec<Normalised<'_>> = Vec::with_capacity(4 * series.len());
     for case in series {
         let n = case.base.len();
         let mut add = |name: &str, shape: Vec<usize>, values_m_s2, normalise| {
-            tensors.push((format!("{}.{name}", case.id), Normalised { values_m_s2, shape, normalise }));
+            tensors.push(Normalised { name: format!("{}.{name}", case.id), values_m_s2, shape, normalise });
         };
         add("u", vec![n], &case.base, &base);
         add("u_half", vec![case.base_half.len()], &case.base_half, &base);
         add("dense", vec![n, case.n_dense], &case.dense, &dense);
         add("sparse", vec![n, case.n_sparse], &case.sparse, &sparse);
     }
-    serialize_to_file(tensors, None, path).context(|| format!("cannot write `{}`", path.display()))
+    tensors.sort_by(|a, b| a.name.cmp(&b.name));
+    let what = || format!("cannot write `{}`", path.display());
+    let mut end = 0;
+    let mut info = |tensor: &Normalised<'_>| {
+        let start = end;
+        end += size_of::<f32>() * tensor.values_m_s2.len();
+        let info = TensorInfo { dtype: Dtype::F32, shape: tensor.shape.clone(), data_offsets: (start, end) };
+        (tensor.name.clone(), info)
+    };
+    let metadata = Metadata::new(None, tensors.iter().map(&mut info).collect()).context(what)?;
+    let mut header = serde_json::to_vec(&metadata).context(what)?;
+    // Values begin at a multiple of the length's own size.
+    header.resize(header.len().next_multiple_of(size_of::<u64>()), b' ');
+    let mut file = BufWriter::new(fs::File::create(path).context(what)?);
+    file.write_all(&(header.len() as u64).to_le_bytes()).and_then(|()| file.write_all(&header)).context(what)?;
+    for tensor in &tensors {
+        let bytes: Vec<u8> = (tensor.normalise)(tensor.values_m_s2).iter().flat_map(|v| v.to_le_bytes()).collect();
+        file.write_all(&bytes).context(what)?;
+    }
+    file.flush().context(what)
 }
 
 /// The card of a learning set.
