@@ -10,7 +10,14 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-const PIPELINE: &str = "about = \"trajectories alone\"\n[[stage]]\nname = \"motions\"\n[[stage]]\nname = \"simulate\"\ninputs = { motions = \"motions\" }\n";
+const PIPELINE: &str = r#"
+about = "trajectories alone"
+[[stage]]
+name = "motions"
+[[stage]]
+name = "simulate"
+inputs = { motions = "motions" }
+"#;
 /// Trajectories of the parts in which their number is not what changes.
 const TRAJECTORIES: usize = 400;
 /// Trajectories of each site.

@@ -1,7 +1,7 @@
 //! Killed and concurrent runs, in real processes: the test program starts itself again as the process that runs the pipeline.
 
 use flare_pipe::error::{Context, Result};
-use flare_pipe::pipeline::{Graph, Item, Mode, Options, Recipe, Site, Stage, Task, run, write_if_changed};
+use flare_pipe::pipeline::{Graph, Item, ItemKind, Mode, Options, Recipe, Site, Stage, Task, run, write_if_changed};
 use flare_pipe::progress::Quiet;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -63,7 +63,7 @@ impl Stage for Ensemble {
             parameters: toml::Table::from_iter([("number".to_string(), toml::Value::Integer(number as i64))]),
         };
         let items: Vec<Item> = (1..=N_ITEM).map(item).collect();
-        let outcomes = task.items("square", 1, &items, |index, dir| {
+        let outcomes = task.items(&ItemKind::of_output("square", 1), &items, |index, dir| {
             let number = index + 1;
             fs::write(dir.join("begun"), number.to_string()).context(|| "cannot write".into())?;
             work("item", number)?;

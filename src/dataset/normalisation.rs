@@ -26,18 +26,6 @@ pub struct Normalisation {
 }
 
 impl Normalisation {
-    /// Scales from training cases held in memory.
-    ///
-    /// # Errors
-    /// When there is no case, cases differ in channels, or a channel never moves.
-    pub fn of<'a>(training: impl IntoIterator<Item = &'a Coarse>) -> Result<Self> {
-        let mut sums = Accumulator::default();
-        for case in training {
-            sums.add(case)?;
-        }
-        sums.finish()
-    }
-
     /// Base acceleration in units of its scale (steps or half steps).
     pub fn base(&self, x_m_s2: &[f64]) -> Vec<f32> {
         x_m_s2.iter().map(|v| (v / self.base_m_s2) as f32).collect()
@@ -173,9 +161,15 @@ mod tests {
         }
     }
 
+    fn scales(training: &[Coarse]) -> Result<Normalisation> {
+        let mut sums = Accumulator::default();
+        training.iter().try_for_each(|case| sums.add(case))?;
+        sums.finish()
+    }
+
     #[test]
     fn scales_are_the_pooled_standard_deviation_of_the_training_cases() {
-        let n = Normalisation::of(&[case(1.0), case(7.0)]).unwrap();
+        let n = scales(&[case(1.0), case(7.0)]).unwrap();
         let expected = (0.5f64 * (1.0 + 49.0) * 0.5).sqrt();
         assert!((n.base_m_s2 / expected - 1.0).abs() < 0.01);
         assert!((n.dense_m_s2[1] / n.dense_m_s2[0] - 2.5).abs() < 1e-12);
@@ -185,7 +179,7 @@ mod tests {
     #[test]
     fn values_come_back_in_physical_units() {
         let c = case(1.0);
-        let n = Normalisation::of([&c]).unwrap();
+        let n = scales(&[case(1.0)]).unwrap();
         let back = n.dense_to_m_s2(&n.dense(&c.dense_m_s2));
         assert!(back.iter().zip(&c.dense_m_s2).all(|(a, b)| (a - b).abs() < 1e-6));
         let back = n.sparse_to_m_s2(&n.sparse(&c.sparse_m_s2));
@@ -196,9 +190,9 @@ mod tests {
 
     #[test]
     fn still_channels_and_unlike_cases_are_refused() {
-        assert!(Normalisation::of(&[]).is_err());
-        assert!(Normalisation::of(&[case(0.0)]).unwrap_err().what().contains("base channel 0"));
+        assert!(scales(&[]).is_err());
+        assert!(scales(&[case(0.0)]).unwrap_err().what().contains("base channel 0"));
         let unlike = Coarse { n_sparse: 0, sparse_m_s2: vec![], ..case(1.0) };
-        assert!(Normalisation::of(&[case(1.0), unlike]).is_err());
+        assert!(scales(&[case(1.0), unlike]).is_err());
     }
 }

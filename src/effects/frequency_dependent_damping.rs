@@ -206,10 +206,8 @@ impl Effect for FrequencyDependentDamping {
             for layer in layers::between(profile, self.top_m, self.bottom_m).filter(|layer| has_memory(layer)) {
                 let exponent = layers::number(layer, "damping_exponent", 0.0) + self.exponent;
                 layers::set(layer, "damping_exponent", exponent.clamp(-EXPONENT, EXPONENT));
-                if self.replaced != 0.0 && layer.law_kind == "hyperbolic" {
-                    layers::scale(layer, "damping_multiplier", 1.0, 1.0 - self.replaced);
-                } else if self.replaced != 0.0 {
-                    layers::scale(layer, "damping_ratio", 0.0, 1.0 - self.replaced);
+                if self.replaced != 0.0 {
+                    layers::scale_damping(layer, 1.0 - self.replaced);
                 }
             }
         }

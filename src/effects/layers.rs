@@ -161,6 +161,15 @@ pub(super) fn scale(layer: &mut Layer, key: &str, default: f64, factor: f64) {
     set(layer, key, factor * value);
 }
 
+/// Multiplies the small-strain damping that a layer has of its own, declared or by its curves.
+pub(super) fn scale_damping(layer: &mut Layer, factor: f64) {
+    if layer.law_kind == "hyperbolic" {
+        scale(layer, "damping_multiplier", 1.0, factor);
+    } else {
+        scale(layer, "damping_ratio", 0.0, factor);
+    }
+}
+
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;

@@ -72,9 +72,7 @@ impl SmallStrainDamping {
 
 impl Effect for SmallStrainDamping {
     fn refusal(&self, profile: &Profile) -> Option<String> {
-        let has_ratio =
-            |layer: &Layer| layer.law_kind == "hyperbolic" || layers::number(layer, "damping_ratio", 0.0) > 0.0;
-        let is_declared = has_rayleigh(profile) || profile.layers.iter().any(has_ratio);
+        let is_declared = has_rayleigh(profile) || profile.layers.iter().any(has_damping);
         (self.multiplier < 1.0 && !is_declared).then(|| {
             "neither the column nor a layer declares a small-strain damping that could be less; a multiplier above 1 adds one".into()
         })
@@ -89,16 +87,18 @@ impl Effect for SmallStrainDamping {
         profile.rayleigh.alpha_1_s *= m; // (1)
         profile.rayleigh.beta_s *= m;
         for layer in &mut profile.layers {
-            let ratio = layers::number(layer, "damping_ratio", 0.0);
-            if layer.law_kind == "hyperbolic" {
-                layers::scale(layer, "damping_multiplier", 1.0, m);
-            } else if ratio > 0.0 {
-                layers::set(layer, "damping_ratio", m * ratio);
+            if has_damping(layer) {
+                layers::scale_damping(layer, m);
             } else if !is_declared && m > 1.0 {
                 layers::set(layer, "damping_ratio", (m - 1.0) * REFERENCE_RATIO); // (2)
             }
         }
     }
+}
+
+/// Whether a layer has small-strain damping of its own.
+fn has_damping(layer: &Layer) -> bool {
+    layer.law_kind == "hyperbolic" || layers::number(layer, "damping_ratio", 0.0) > 0.0
 }
 
 fn has_rayleigh(profile: &Profile) -> bool {

@@ -34,7 +34,7 @@ pub fn judge(model: &SourceModel, cases: &[Case], weight: &[f32], stress_factor:
     let mut errors = Errors { sums: [0.0; 3], nrmse_percent: Vec::new(), is_bounded: true };
     let share: Vec<f64> = weight.iter().map(|w| f64::from(*w) / cases.len() as f64).collect();
     for (cases, share) in cases.chunks(AT_ONCE).zip(share.chunks(AT_ONCE)) {
-        errors.add(model, cases, share, [stress_factor, bound]);
+        errors.add(model, cases, share, stress_factor, bound);
     }
     let [rollout, reconstruction, latent] = errors.sums;
     let score = rollout + 0.25 * reconstruction + 0.05 * latent; // (1)
@@ -52,7 +52,7 @@ struct Errors {
 }
 
 impl Errors {
-    fn add(&mut self, model: &SourceModel, cases: &[Case], share: &[f64], [stress_factor, bound]: [f64; 2]) {
+    fn add(&mut self, model: &SourceModel, cases: &[Case], share: &[f64], stress_factor: f64, bound: f64) {
         let t0 = model.shape.window - 1;
         let (r, channels) = (model.shape.latent, model.shape.channels);
         let encoded: Vec<Vec<f32>> = cases.iter().map(|c| model.encode(&c.dense)).collect();

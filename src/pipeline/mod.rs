@@ -44,5 +44,5 @@ pub use run::{Failure, Mode, Summary, compute_shard, run};
 pub use site::Site;
 pub use stage::Stage;
 pub use store::{ItemRecord, OutputFile, Outputs, State, Store, Timing};
-pub use task::{Item, ItemOutcome, Task};
+pub use task::{Item, ItemKind, ItemOutcome, Task};
 pub use verify::{Damage, Verification, discard, verify_all, verify_site};

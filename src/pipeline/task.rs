@@ -11,6 +11,28 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use toml::Table;
 
+/// A kind of items.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct ItemKind {
+    /// Folder of the cache, with the version.
+    name: &'static str,
+    version: u32,
+    /// Whether they are part of the output of their stage.
+    is_output: bool,
+}
+
+impl ItemKind {
+    /// Items that are part of the output of their stage. Bump `version` when the same parameters would give other numbers.
+    pub const fn of_output(name: &'static str, version: u32) -> Self {
+        Self { name, version, is_output: true }
+    }
+
+    /// Items that are there for their stage to go on, or to be repeated with other settings, until `gc` takes them.
+    pub const fn passing(name: &'static str, version: u32) -> Self {
+        Self { name, version, is_output: false }
+    }
+}
+
 /// One item of an ensemble: its parameters are its key, with kind and version.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Item {
@@ -173,51 +195,20 @@ impl Task<'_> {
     /// an empty folder. An item for which the model has no result ([`Error::of_model`]) is recorded as failed and stops no other.
     /// Outcomes are in the order of `items`.
     ///
-    /// Bump `version` when the same parameters would give other numbers.
-    ///
     /// # Errors
     /// When the cache cannot be written, or an item ends in another error.
     pub fn items(
         &self,
-        kind: &str,
-        version: u32,
+        kind: &ItemKind,
         items: &[Item],
         compute: impl Fn(usize, &Path) -> Result<()> + Sync,
     ) -> Result<Vec<ItemOutcome>> {
-        let records = self.computed(kind, version, items, &compute)?;
-        self.records.lock().unwrap_or_else(PoisonError::into_inner).insert(records.clone());
-        Ok(records.into_iter().map(|record| outcome(self.store, record)).collect())
-    }
-
-    /// As [`Task::items`], but the items are no part of the output: they are there for the stage to go on, or to be repeated with other
-    /// settings, until `gc` takes them.
-    ///
-    /// # Errors
-    /// As [`Task::items`].
-    pub fn passing_items(
-        &self,
-        kind: &str,
-        version: u32,
-        items: &[Item],
-        compute: impl Fn(usize, &Path) -> Result<()> + Sync,
-    ) -> Result<Vec<ItemOutcome>> {
-        let records = self.computed(kind, version, items, &compute)?;
-        Ok(records.into_iter().map(|record| outcome(self.store, record)).collect())
-    }
-
-    fn computed(
-        &self,
-        kind: &str,
-        version: u32,
-        items: &[Item],
-        compute: &(dyn Fn(usize, &Path) -> Result<()> + Sync),
-    ) -> Result<Vec<ItemRecord>> {
         let ensemble = Ensemble {
             store: self.store,
             permits: self.permits,
             progress: self.progress,
             is_forced: self.is_forced,
-            compute,
+            compute: &compute,
             submission: self.slurm.map(|slurm| Submission {
                 slurm,
                 stage: self.name,
@@ -225,7 +216,11 @@ impl Task<'_> {
             }),
             shard: self.shard,
         };
-        ensemble.run(kind, version, items)
+        let records = ensemble.run(kind.name, kind.version, items)?;
+        if kind.is_output {
+            self.records.lock().unwrap_or_else(PoisonError::into_inner).insert(records.clone());
+        }
+        Ok(records.into_iter().map(|record| outcome(self.store, record)).collect())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Stages for tests: numbers, sums, and an ensemble; each tells in a file outside the cache that it ran.
 
-use super::{Item, Stage, Task};
+use super::{Item, ItemKind, Stage, Task};
 use crate::error::{Context, Error, Result};
 use std::fs;
 use std::io::Write;
@@ -112,7 +112,7 @@ impl Stage for Ensemble {
             parameters: toml::Table::from_iter([("number".to_string(), toml::Value::Integer(i as i64))]),
         };
         let items: Vec<Item> = (0..count).map(item).collect();
-        let outcomes = task.items("toy-item", 1, &items, |index, dir| {
+        let outcomes = task.items(&ItemKind::of_output("toy-item", 1), &items, |index, dir| {
             tell(task, &format!("item {index}"))?;
             if task.optional::<usize>("ensemble.defect")? == Some(index) {
                 return Err(Error::new("no space left"));

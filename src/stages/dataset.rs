@@ -215,7 +215,8 @@ pub fn cases(folder: &Path, ids: &[String], spill: &Spill) -> Result<Vec<Case>> 
     let file = fs::File::open(&path).context(what)?;
     let map = Arc::new(mapped(&file).context(what)?);
     let tensors = SafeTensors::deserialize(&map).context(what)?;
-    let is_held = spill.has_room(map.len());
+    // What is mapped is taken as it lies, which is little-endian.
+    let is_held = spill.has_room(map.len()) || cfg!(target_endian = "big");
     let floats = |name: String| -> Result<Values<f32>> {
         let data = tensors.tensor(&name).map_err(|e| Error::new(what()).cause(e))?.data();
         if is_held {

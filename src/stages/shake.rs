@@ -10,14 +10,14 @@ use crate::manifest::ColumnSections;
 use crate::numerics::lanes::Width;
 use crate::numerics::resample::resample_band_limited;
 use crate::numerics::threads::{self, on_threads};
-use crate::pipeline::{Item, Task, content_hash};
+use crate::pipeline::{Item, ItemKind, Task, content_hash};
 use serde::{Deserialize, Serialize};
 use std::fs;
 use std::path::Path;
 use toml::{Table, Value};
 
 /// Kind and version of the cache entries.
-const REPLAY: (&str, u32) = ("replayed", 11);
+const REPLAY: ItemKind = ItemKind::passing("replayed", 11);
 const FILE: &str = "response_m_s2.f32";
 const CONTENTS: &str = "contents.toml";
 
@@ -89,7 +89,7 @@ pub fn shake(
     };
     let Some(task) = task else { return Ok(run_all()) };
     let item = item(&profiles, &shaken, (sections, &depths_m), motions)?;
-    let outcome = task.passing_items(REPLAY.0, REPLAY.1, &[item], |_, folder| write(folder, &run_all()))?;
+    let outcome = task.items(&REPLAY, &[item], |_, folder| write(folder, &run_all()))?;
     let folder = outcome.into_iter().map(|o| o.output).next().unwrap_or_else(|| Err("nothing was computed".into()));
     read(&folder.map_err(|reason| Error::new("the column cannot be shaken").cause(reason))?)
 }

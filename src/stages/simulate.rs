@@ -8,7 +8,7 @@ use crate::effects;
 use crate::error::{Error, Result};
 use crate::manifest::ColumnSections;
 use crate::motion::{Motion, MotionSettings, parse_cases};
-use crate::pipeline::{Item, Stage, Task, content_hash};
+use crate::pipeline::{Item, ItemKind, Stage, Task, content_hash};
 use crate::records::Split;
 use crate::units::G_M_S2;
 use std::collections::BTreeMap;
@@ -19,7 +19,7 @@ use toml::{Table, Value};
 pub struct Simulate;
 
 /// Kind and version of the cache entries of single trajectories.
-const TRAJECTORY: (&str, u32) = ("trajectory", 5);
+const TRAJECTORY: ItemKind = ItemKind::of_output("trajectory", 5);
 /// File of a trajectory in its entry.
 pub const TRAJECTORY_FILE: &str = "trajectory.mcap";
 /// Share of the ensemble that may fail before the stage does.
@@ -59,7 +59,7 @@ impl Stage for Simulate {
         let column = Column::new(&sections.profile()?, &sections.analysis)?;
         let suite = motions::read(task.input("motions")?, settings.step_s)?;
         let items: Vec<Item> = suite.iter().map(|m| item(task, m)).collect();
-        let outcomes = task.items(TRAJECTORY.0, TRAJECTORY.1, &items, |i, folder| {
+        let outcomes = task.items(&TRAJECTORY, &items, |i, folder| {
             simulate(&site, &sections, &column, &suite[i], &settings, &items[i].parameters, folder)
         })?;
         let train = parse_cases(&settings.train)?;

@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::inference;
 use crate::manifest::ColumnSections;
 use crate::metrics::median;
-use crate::pipeline::{Item, Stage, Task};
+use crate::pipeline::{Item, ItemKind, Stage, Task};
 use crate::progress::Quiet;
 use crate::records::{Record, RecordSettings, Split};
 use crate::twin::{self, Case, Four, Matrix, Outcome, Recovered, Report, Truth};
@@ -24,7 +24,7 @@ use toml::{Table, Value};
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: (&str, u32) = ("twin", 73);
+const TWIN: ItemKind = ItemKind::of_output("twin", 73);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -68,9 +68,8 @@ impl Stage for Twins {
         let array = stand.sections.array(&stand.records.components)?;
         let cases = stand.matrix.cases(&stand.truth, &array, stand.seed)?;
         let items = cases.iter().map(|case| stand.item(task, case)).collect::<Result<Vec<_>>>()?;
-        let outcomes = task.items(TWIN.0, TWIN.1, &items, |i, folder| {
-            write_toml(&folder.join("twin.toml"), &stand.outcome(&cases[i])?)
-        })?;
+        let outcomes =
+            task.items(&TWIN, &items, |i, folder| write_toml(&folder.join("twin.toml"), &stand.outcome(&cases[i])?))?;
         let (mut done, mut failed) = (Vec::new(), Vec::new());
         for outcome in outcomes {
             match outcome.output {

@@ -248,14 +248,8 @@ fn resumed(folder: &Path) -> Result<SourceModel> {
     fs::create_dir_all(folder).expect("made");
     let (cases, _) = small_column().cases(3);
     let settings = PretrainSettings { validate_every: 1, checkpoint_every: 1, ..small_training() };
-    pretrain(
-        &cases[..3],
-        &cases[3..],
-        &settings,
-        1,
-        &Training { checkpoint_dir: Some(folder), ..Training::in_memory(&Quiet) },
-    )
-    .map(|(model, _)| model)
+    let training = Training { checkpoint_dir: Some(folder), ..Training::in_memory(&Quiet) };
+    pretrain(&cases[..3], &cases[3..], &settings, 1, &training).map(|(model, _)| model)
 }
 
 /// Goes on from a state, whatever it is, and asserts that what comes of it is what comes of none.

@@ -48,8 +48,7 @@ impl<'a> Competition<'a> {
         let mut own: Vec<&Fit<'a>> = self.fits.iter().filter(is_own).collect();
         self.best_first(&mut own);
         let close = if is_lacking {
-            let is_outdone = self.best_of(|fit| fit.labels() == labels).is_some_and(|best| !best.model.is_named());
-            own.retain(|fit| fit.model.effects.len() <= effects.len() + usize::from(is_outdone));
+            own.retain(|fit| fit.model.effects.len() <= effects.len() + usize::from(self.is_outdone(labels)));
             best_of_each_number(own, |fit| fit.model.effects.clone())
         } else {
             let least = self.log_posterior(leading) - WINDOW;

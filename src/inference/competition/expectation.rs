@@ -51,10 +51,13 @@ impl<'a> Competition<'a> {
     /// may be what stands in for it.
     pub(super) fn is_lacking(&self, labels: &[Label]) -> bool {
         let best = self.best_of(|fit| fit.labels() == labels);
-        best.is_some_and(|best| {
-            let level = self.fitter.spread(&best.prediction).map_or(1.0, |spread| spread.level);
-            is_beyond_declared(level) || !best.model.is_named()
-        })
+        let level = best.and_then(|best| self.fitter.spread(&best.prediction)).map_or(1.0, |spread| spread.level);
+        is_beyond_declared(level) || self.is_outdone(labels)
+    }
+
+    /// Whether a response without a name does better than all named effects under `labels`.
+    pub(super) fn is_outdone(&self, labels: &[Label]) -> bool {
+        self.best_of(|fit| fit.labels() == labels).is_some_and(|best| !best.model.is_named())
     }
 
     /// Reads off what is expected of residuals under `labels`, and weighs anew whatever is close, if that has changed: searches go on where
