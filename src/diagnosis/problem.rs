@@ -109,14 +109,6 @@ pub trait Replay: Sync {
         self.replay(effects)
     }
 
-    /// As [`Replay::replay_roughly`], those events alone that are wanted; the others have no motion, or have one all the same.
-    ///
-    /// # Errors
-    /// As [`Replay::replay`].
-    fn replay_some_roughly(&self, effects: &[toml::Table], _is_wanted: &[bool]) -> Result<Motions> {
-        self.replay_roughly(effects)
-    }
-
     /// As [`Replay::replay`], the wanted events alone, and the same once more in elements and steps half as large: what the two differ by
     /// is not converged. None where there is nothing smaller.
     ///

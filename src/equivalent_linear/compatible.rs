@@ -73,11 +73,18 @@ impl Compatible {
     ///
     /// Source: Idriss and Sun (1992), SHAKE91.
     pub fn new(column: EquivalentColumn, base: &Base<'_>) -> Self {
+        Self::near(column, base, None)
+    }
+
+    /// The same, sought from the strains of `other`.
+    pub fn near(column: EquivalentColumn, base: &Base<'_>, other: Option<&Self>) -> Self {
         let ends_hz = [base.frequencies_hz.first(), base.frequencies_hz.last()].map(|f| f.copied().unwrap_or(1.0));
         let nodes = Nodes::new(Grid::around(ends_hz[0], ends_hz[1], column.grid_step_hz()));
         let effective = Effective::new(base);
         let map = |ln_strain: &[f64]| effective.of(&column, &nodes, ln_strain);
-        let start = vec![START_STRAIN.ln(); column.n_element()];
+        let known = other.filter(|other| other.strain.len() == column.n_element());
+        let unknown = || vec![START_STRAIN.ln(); column.n_element()];
+        let start = known.map_or_else(unknown, |other| other.strain.iter().map(|strain| strain.ln()).collect());
         let strain = exp(&fixed_point(start, map, ITERATIONS, STILL).0);
         Self { column, nodes, strain }
     }

@@ -1,5 +1,6 @@
 //! From fitted models to an answer: what is named, with intervals, and what remains.
 
+mod bagged;
 mod claims;
 mod declared;
 mod kinds;
@@ -7,7 +8,6 @@ mod residuals;
 
 use super::competition::Competition;
 use super::convention::conventions;
-use super::few::{self, Few};
 use super::forward::Forward;
 use super::intervals::{Member, NORMAL, averaged};
 use super::parameters::{Declared, Model};
@@ -22,6 +22,7 @@ use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
+use bagged::{Standing, bagged, probabilities};
 use declared::declared_values;
 use kinds::{Masses, alternatives, besides, has_all, is_taken, known_kinds};
 use residuals::{Residuals, closest_to_mean};
@@ -59,9 +60,8 @@ pub fn diagnose(
     let reference = std::sync::Arc::new(forward.predict(&tables)?);
     let fitter = Fitter::new(&forward, Expected { reference, ..expected });
     let fit = fitter.fit(Start::at(model, x), Stop::CLOSE)?;
-    let in_few = forward.in_groups(&few::groups(&forward));
-    let few = Few { forward: &in_few, declared: &declared.in_events(&in_few) };
-    let mut competition = Competition::new(fitter, fit, few, settings.max_effects);
+    let surrogate = forward.equivalent_linear();
+    let mut competition = Competition::new(fitter, fit, &surrogate, settings.max_effects);
     competition.run(progress)?;
     let mut most = BTreeMap::new();
     loop {
@@ -253,12 +253,20 @@ impl<'a> Answer<'_, 'a> {
         1.0 - self.residuals(fit).share() / plain.max(f64::MIN_POSITIVE)
     }
 
-    /// Every fitted model with its posterior probability.
+    /// Every fitted model with its posterior probability; where a response without a name is ahead, none of them is the right one.
     fn probabilities(&self) -> impl Iterator<Item = (&Fit<'a>, f64)> {
-        let highest = self.competition.log_posterior(self.competition.best());
-        let density = move |fit: &Fit<'a>| (self.competition.log_posterior(fit) - highest).exp();
-        let total: f64 = self.competition.fits.iter().map(density).sum();
-        self.competition.fits.iter().map(move |fit| (fit, density(fit) / total))
+        let fits = &self.competition.fits;
+        let standings: Vec<Standing> = fits.iter().map(|fit| self.standing(fit)).collect();
+        let is_named = self.competition.best().model.is_named();
+        fits.iter().zip(if is_named { probabilities(&standings) } else { bagged(&standings) })
+    }
+
+    fn standing(&self, fit: &Fit<'_>) -> Standing {
+        let mut by_event = vec![0.0; self.forward.groups.len()];
+        for (at, rows) in self.forward.records.iter().zip(fit.rows.iter()) {
+            by_event[at.group] -= rows.iter().map(|r| 0.5 * r * r).sum::<f64>();
+        }
+        Standing { log_posterior: self.competition.log_posterior(fit), by_event }
     }
 
     /// Posterior probability of each set of kinds.

@@ -1,16 +1,19 @@
 //! Which effects the records ask for: every effect at every place, alone and in pairs, against what is declared, by evidence.
 //!
-//! Beside a fitted model every candidate is replayed at strengths on both sides of nothing. How residuals change towards such a node is a
-//! direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a small
-//! linear problem ([`Competition::expand`]), whose best are fitted in few events. What may be strong is also fitted from declared values
-//! ([`scan`]). The best of all are then fitted in all events. The search of a model goes on to its end where it promises to count
-//! ([`Competition::settle_close`]): most models are far behind wherever theirs would end. What could be taken for the effects of the model
-//! that leads is fitted in their place ([`rivals`]), at once or, where something is lacking in all models, when nothing is left to look
-//! around; where declared values may be so far off that there are other modes, that model is fitted from elsewhere as well ([`modes`]). The
-//! competition goes on around the best model, around it less each of its effects, and around what is nearly as probable, or, where something
-//! is lacking, around the best of each number of effects, the fewest first ([`agenda`]), until that changes nothing. What the records say of
-//! the field and of the column's error is read off beside the model that leaves least, under each labelling of the channels, and the models
-//! under it are compared by that ([`expectation`]).
+//! Beside a fitted model every candidate is tried by the surrogate column at strengths on both sides of nothing. How residuals change
+//! towards such a node is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each
+//! pair, is a small linear problem ([`Competition::expand`]), whose best are fitted by the surrogate. What may be strong is also fitted from
+//! declared values ([`scan`]). The best of all are then fitted by replays. The search of a model goes on to its end where it promises to
+//! count ([`Competition::settle_close`]): most models are far behind wherever theirs would end. What could be taken for the effects of the
+//! model that leads is fitted in their place ([`rivals`]), at once or, where something is lacking in all models, when nothing is left to
+//! look around; where declared values may be so far off that there are other modes, that model is fitted from elsewhere as well ([`modes`]).
+//! The competition goes on around the best model, around it less each of its effects, and around what is nearly as probable, or, where
+//! something is lacking, around the best of each number of effects, the fewest first ([`agenda`]), until that changes nothing. What the
+//! records say of the field and of the column's error is read off beside the model that leaves least, under each labelling of the channels,
+//! and the models under it are compared by that ([`expectation`]).
+//!
+//! Source: Bandler et al. (2004), doi 10.1109/TMTT.2003.820904, for a cheap model, right where it is tuned, in the search for the best of a
+//! dear one.
 
 mod agenda;
 mod expansion;
@@ -24,8 +27,7 @@ mod proposals;
 mod rivals;
 mod scan;
 
-use super::few::Few;
-use super::forward::{Label, Prediction};
+use super::forward::{Forward, Label, Prediction};
 use super::parameters::Model;
 use super::posterior::{Fit, Fitter, Start, Stop};
 use super::power::hidden;
@@ -42,7 +44,7 @@ use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Single effects and pairs that are fitted around one model in few events, and how many of these in all.
+/// Single effects and pairs that are fitted around one model by the surrogate column, and how many of these by replays.
 const HEATS: usize = 4;
 const FINALS: usize = 6;
 /// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
@@ -65,7 +67,8 @@ const TOLD: f64 = 0.5;
 /// Fitted models by their effects.
 pub struct Competition<'a> {
     fitter: Fitter<'a>,
-    few: Few<'a>,
+    /// The column by which candidates are looked for.
+    surrogate: &'a Forward<'a>,
     instances: Vec<Instance>,
     /// ln of the prior of an effect at a place, by kind.
     ln_prior: BTreeMap<&'static str, f64>,
@@ -82,15 +85,15 @@ pub struct Competition<'a> {
 }
 
 impl<'a> Competition<'a> {
-    /// Prepares the competition around `declared`, the fit without effects; candidates are looked at in `few` events.
-    pub fn new(fitter: Fitter<'a>, declared: Fit<'a>, few: Few<'a>, max_effects: usize) -> Self {
+    /// Prepares the competition around `declared`, the fit without effects; candidates are looked for by the `surrogate` of its column.
+    pub fn new(fitter: Fitter<'a>, declared: Fit<'a>, surrogate: &'a Forward<'a>, max_effects: usize) -> Self {
         let array = &fitter.forward.problem.array;
         let instances = acting(array);
         let unnamed = effects::unnamed(array);
         let ln_prior = ln_prior(fitter.forward, instances.iter().chain(&unnamed));
         Self {
             fitter,
-            few,
+            surrogate,
             instances,
             ln_prior,
             max_effects,
@@ -101,6 +104,14 @@ impl<'a> Competition<'a> {
             challenged: Vec::new(),
             explored: Vec::new(),
         }
+    }
+
+    /// What fits by the surrogate column as it is around `fit`, and that fit by it.
+    fn around(&self, fit: &Fit<'a>) -> Result<(Fitter<'a>, Fit<'a>)> {
+        self.surrogate.follow(self.fitter.forward, &fit.model.tables(&fit.x))?;
+        let by = self.fitter.through(self.surrogate);
+        let own = by.fit(Start::from(fit.clone()), Stop::WHERE_IT_IS)?;
+        Ok((by, own))
     }
 
     /// ln of the posterior of a fitted model up to a constant.
@@ -354,10 +365,9 @@ impl<'a> Competition<'a> {
         declared.chain(model.effects.iter().flat_map(of_effect)).collect()
     }
 
-    /// Kinds of effects that could be there beside `fit` unnoticed, by a few events.
+    /// Kinds of effects that could be there beside `fit` unnoticed.
     pub fn hidden(&self, fit: &Fit<'a>) -> Vec<Hidden> {
-        let by = self.few.fitter(&self.fitter);
-        let Ok(base) = self.few.of(&by, fit) else { return Vec::new() };
+        let Ok((by, base)) = self.around(fit) else { return Vec::new() };
         let open: Vec<Instance> = self.instances.iter().filter(|i| base.model.index_of(i).is_none()).cloned().collect();
         hidden(&by, &base, &open, |instance| Some(self.prior_of(instance)))
     }
@@ -373,7 +383,7 @@ impl<'a> Competition<'a> {
 
     /// What was replayed so far, in words.
     pub fn replays(&self) -> String {
-        format!("{} replays, {} of few events", self.fitter.forward.replays(), self.few.forward.replays())
+        format!("{} replays, {} by the surrogate", self.fitter.forward.replays(), self.surrogate.replays())
     }
 
     fn described(&self, fit: &Fit<'_>) -> String {

@@ -1,12 +1,8 @@
 //! What other programs make of the same declared column: what these change is no property of a site.
 
-use super::forward::{Bins, Forward, Prediction, built};
-use super::spread::band_hz;
-use crate::column::Profile;
-use crate::effects::{self, Effect};
-use crate::equivalent_linear::{Base, Compatible, Curves, EquivalentColumn, Tuning, element_count};
+use super::equivalent::Columns;
+use super::forward::{Bins, Forward, Prediction};
 use crate::error::Result;
-use rayon::prelude::*;
 use realfft::num_complex::Complex;
 use std::sync::Arc;
 use toml::Table;
@@ -56,83 +52,4 @@ pub fn add(prediction: &mut Prediction, conventions: &[Slope], strengths: &[f64]
             }
         }
     }
-}
-
-/// The equivalent-linear column of every record, its strains compatible with its moduli.
-struct Columns {
-    columns: Vec<Compatible>,
-    tuning: Vec<Tuning>,
-    bases: Bins,
-    depths_m: Vec<f64>,
-}
-
-impl Columns {
-    /// That of `forward` under `tables` on top of what is declared, tuned to `motions`, `[record][sensor][bin]`.
-    fn tuned(forward: &Forward<'_>, tables: &[Table], motions: &[Bins]) -> Result<Self> {
-        let effects = built(forward.problem, tables)?;
-        let (bases, depths_m) = (forward.bases(&effects), depths_m(forward, &effects));
-        let high_hz = band_hz(forward)[1].max(1.0);
-        let (curves, elements) = (Curves::default(), element_count(&forward.problem.array.profile, high_hz));
-        let mut known: Vec<(Profile, EquivalentColumn)> = Vec::new();
-        let mut columns = Vec::with_capacity(forward.records.len());
-        for (i, motion) in bases.iter().enumerate() {
-            let profile = profile(forward, &effects, i);
-            let column = match known.iter().find(|(p, _)| *p == profile) {
-                Some((_, column)) => column.clone(),
-                None => {
-                    let column = EquivalentColumn::new(&profile, elements, &curves)?;
-                    known.push((profile, column.clone()));
-                    column
-                }
-            };
-            columns.push(Compatible::new(column, &forward.shaking(i, motion)));
-        }
-        let of = |i: usize| columns[i].tuned(&forward.shaking(i, &bases[i]), &depths_m, &motions[i]);
-        let tuning = (0..columns.len()).into_par_iter().map(of).collect();
-        Ok(Self { columns, tuning, bases, depths_m })
-    }
-
-    /// The same with moduli that do not grow with frequency.
-    fn without_dispersion(self) -> Self {
-        let columns = self.columns.into_iter().map(Compatible::without_dispersion).collect();
-        Self { columns, ..self }
-    }
-
-    /// Motions at the output sensors, `[record][sensor][bin]`.
-    fn motions(&self, forward: &Forward<'_>) -> Vec<Bins> {
-        let of = |(i, column): (usize, &Compatible)| {
-            column.motions(&forward.shaking(i, &self.bases[i]), &self.depths_m, &self.tuning[i])
-        };
-        self.columns.iter().enumerate().map(of).collect()
-    }
-}
-
-impl Forward<'_> {
-    /// What shakes the column in record `i` when the motion of its base is `acceleration_m_s2`.
-    fn shaking<'m>(&'m self, i: usize, acceleration_m_s2: &'m [C64]) -> Base<'m> {
-        let at = self.records[i];
-        let record = &self.groups[at.group].records[at.record];
-        Base {
-            frequencies_hz: self.frequencies_hz(at),
-            acceleration_m_s2,
-            samples: record.window.len(),
-            peak_factor: record.peak_factor,
-        }
-    }
-}
-
-/// The column of record `i` under `effects`.
-fn profile(forward: &Forward<'_>, effects: &[Box<dyn Effect>], i: usize) -> Profile {
-    let at = forward.records[i];
-    let event = forward.groups[at.group].records[at.record].event;
-    let mut profile = forward.problem.array.profile.clone();
-    effects.iter().for_each(|e| e.edit(&mut profile, &forward.problem.events[event].situation));
-    profile
-}
-
-/// Depths of the output sensors under `effects`.
-fn depths_m(forward: &Forward<'_>, effects: &[Box<dyn Effect>]) -> Vec<f64> {
-    let array = &forward.problem.array;
-    let outputs = array.outputs.iter().zip(&array.depths_m);
-    outputs.map(|(name, depth_m)| effects::depth_m(effects, name, *depth_m, array.profile.depth_m())).collect()
 }

@@ -8,7 +8,7 @@
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
 use super::coherence::coherent;
-use super::few::strongest;
+use super::equivalent::Equivalent;
 use crate::diagnosis::spectra::{self, Group};
 use crate::diagnosis::{DiagnoseSettings, Motions, Problem, Replay};
 use crate::effects::{self, Channel, Effect, Operator, Place};
@@ -71,6 +71,7 @@ pub struct At {
 }
 
 /// What the fine replay at one state of the column corrects.
+#[derive(Clone)]
 struct Anchor {
     key: String,
     /// Fine less rough, by record.
@@ -85,10 +86,9 @@ pub struct Forward<'a> {
     pub groups: Vec<Group>,
     /// Every record in order.
     pub records: Vec<At>,
-    /// Their places among the records of all events that there are, and how many of these each stands for.
-    pub(super) kept: Vec<usize>,
-    pub(super) stands_for: Vec<f64>,
     replay: &'a dyn Replay,
+    /// What stands for replays but where it is anchored.
+    equivalent: Option<Equivalent>,
     names: Vec<String>,
     /// Motions by what shakes the column; whoever asks for what is being replayed waits for it.
     known: Mutex<HashMap<String, Arc<Mutex<Option<Replayed>>>>>,
@@ -111,11 +111,10 @@ impl<'a> Forward<'a> {
         let records: Vec<At> = groups.iter().enumerate().flat_map(of_group).collect();
         Self {
             problem,
-            kept: (0..records.len()).collect(),
-            stands_for: vec![1.0; records.len()],
             records,
             groups,
             replay,
+            equivalent: None,
             names: problem.array.sensors().map(String::from).collect(),
             known: Mutex::default(),
             anchor: Mutex::default(),
@@ -123,14 +122,15 @@ impl<'a> Forward<'a> {
         }
     }
 
-    /// The same column and sensors with these groups, nothing replayed yet.
-    pub(super) fn without_replays(&self, groups: Vec<Group>) -> Self {
-        Self::of(self.problem, self.replay, groups)
+    /// The same, nothing replayed yet.
+    #[cfg(test)]
+    pub fn again(&self) -> Self {
+        Self::of(self.problem, self.replay, self.groups.clone())
     }
 
-    /// Records that its own stand for.
-    pub(super) fn n_record(&self) -> f64 {
-        self.stands_for.iter().sum()
+    /// The same with the equivalent-linear column in place of replays, known nowhere yet; see [`Forward::follow`].
+    pub fn equivalent_linear(&self) -> Self {
+        Self { equivalent: Some(Equivalent::default()), ..Self::of(self.problem, self.replay, self.groups.clone()) }
     }
 
     /// Replays run so far.
@@ -184,7 +184,10 @@ impl<'a> Forward<'a> {
             return Ok(known.clone());
         }
         *lock(&self.replays) += 1;
-        let found = Arc::new(self.spectra_of(self.rough(&shaken)?)?);
+        let found = Arc::new(match &self.equivalent {
+            Some(equivalent) => equivalent.motions(self, &shaken)?,
+            None => self.spectra_of(self.replay.replay_roughly(&shaken)?)?,
+        });
         *known = Some(found.clone());
         Ok(found)
     }
@@ -194,15 +197,6 @@ impl<'a> Forward<'a> {
         let mut is_theirs = vec![false; self.problem.events.len()];
         groups.iter().flat_map(|g| &g.records).for_each(|r| is_theirs[r.event] = true);
         is_theirs
-    }
-
-    /// The rough replay of its own events.
-    fn rough(&self, shaken: &[Table]) -> Result<Motions> {
-        if self.stands_for.iter().all(|n| *n == 1.0) {
-            return self.replay.replay_roughly(shaken);
-        }
-        let is_wanted = self.events_of(&self.groups);
-        self.replay.replay_some_roughly(shaken, &is_wanted)
     }
 
     /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there.
@@ -221,12 +215,22 @@ impl<'a> Forward<'a> {
         Ok(())
     }
 
-    /// Takes over the anchor of `whole`, to whose records its own belong.
-    pub fn follow(&self, whole: &Self) {
-        let anchor = lock(&whole.anchor);
-        *lock(&self.anchor) = anchor
-            .as_ref()
-            .map(|anchor| Anchor { key: anchor.key.clone(), difference: Arc::new(self.kept(&anchor.difference)) });
+    /// Takes over what `whole` knows of the same column under `tables`: its anchor, or the motions there for the equivalent-linear column,
+    /// from which that leads on.
+    ///
+    /// # Errors
+    /// When the column cannot be built or replayed.
+    pub fn follow(&self, whole: &Self, tables: &[Table]) -> Result<()> {
+        let anchor = if let Some(equivalent) = &self.equivalent {
+            let shaken = self.shaken(tables);
+            let difference = Arc::new(equivalent.tune(self, &shaken, &whole.corrected(&shaken)?)?);
+            lock(&self.known).clear();
+            Some(Anchor { key: key(&shaken), difference })
+        } else {
+            lock(&whole.anchor).clone()
+        };
+        *lock(&self.anchor) = anchor;
+        Ok(())
     }
 
     /// What few elements and long steps leave wrong at the anchor, by record: nothing before there is one.
@@ -431,6 +435,15 @@ fn add(to: &mut [Bins], from: &[Bins], factor: f64) {
     }
 }
 
+/// The strongest event.
+fn strongest(forward: &Forward<'_>) -> usize {
+    let strength = |g: &usize| -> f64 {
+        let of = |event: usize| forward.problem.events[event].input.iter().fold(0.0, |m: f64, a| m.max(a.abs()));
+        forward.groups[*g].records.iter().map(|r| of(r.event)).fold(0.0, f64::max)
+    };
+    (0..forward.groups.len()).max_by(|a, b| strength(a).total_cmp(&strength(b))).unwrap_or(0)
+}
+
 /// The labels of the sensors of a prediction.
 pub fn labels(prediction: &Prediction) -> &[Label] {
     prediction.first().map_or(&[], |p| &p.labels)
@@ -452,4 +465,41 @@ fn key(tables: &[Table]) -> String {
 
 pub fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::made_up::{Truth, Uniform, problem};
+    use super::*;
+
+    /// Smaller elements make the motion of the upper sensor a twentieth larger in the strongest event, and a tenth in the others.
+    struct InHalves<'a>(Uniform<'a>);
+
+    impl Replay for InHalves<'_> {
+        fn replay(&self, effects: &[toml::Table]) -> Result<Motions> {
+            self.0.replay(effects)
+        }
+
+        fn replay_in_halves(&self, effects: &[toml::Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
+            let whole = self.replay(effects)?;
+            let mut halved = whole.clone();
+            for (motion, is_wanted) in halved.iter_mut().zip(is_wanted) {
+                let factor = if *is_wanted { 1.05 } else { 1.1 };
+                motion.as_mut().unwrap().last_mut().unwrap().iter_mut().for_each(|v| *v *= factor);
+            }
+            Ok(Some([whole, halved]))
+        }
+    }
+
+    #[test]
+    fn what_is_not_converged_is_told_of_the_strongest_event_and_the_worst_sensor() {
+        let problem = problem(&Truth::default());
+        let replay = InHalves(Uniform(&problem));
+        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+        let share = forward.discretisation_share(&[]).unwrap();
+        assert!((share - 0.05 / 1.05).abs() < 1e-9, "{share}");
+        let silent = Uniform(&problem);
+        let forward = Forward::new(&problem, &silent, &DiagnoseSettings::default()).unwrap();
+        assert_eq!(forward.discretisation_share(&[]), None);
+    }
 }

@@ -91,6 +91,11 @@ impl<'a> Start<'a> {
         Self { axes: None, is_settled: false, ..self }
     }
 
+    /// From where a fit by another column ended, its slopes such as lead on from there.
+    pub fn led_by(found: Fit<'a>) -> Self {
+        Self { axes: None, is_settled: false, ..Self::from(found) }
+    }
+
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
         let Fit { model, x, slopes, axes, is_settled, .. } = found;
@@ -125,9 +130,9 @@ impl<'a> Fitter<'a> {
         Self::of(self.forward, all)
     }
 
-    /// The same in the events of `few` alone.
-    pub fn in_events(&self, few: &'a Forward<'a>) -> Self {
-        Self::of(few, self.expected.iter().map(|(taken, expected)| (taken.clone(), expected.in_events(few))).collect())
+    /// The same with the column as `forward` has it.
+    pub fn through(&self, forward: &'a Forward<'a>) -> Self {
+        Self::of(forward, self.expected.clone())
     }
 
     /// What is expected of the residuals of models with the labels of `prediction`.

@@ -2,7 +2,6 @@
 
 use super::answer::NOTHING;
 use super::competition::{acting, ln_prior};
-use super::few;
 use super::forward::Forward;
 use super::parameters::{Declared, Model, prior_of};
 use super::posterior::{Fit, Fitter, Start, Stop, dot, square};
@@ -70,7 +69,7 @@ pub struct Power {
     pub classes: Vec<Vec<String>>,
 }
 
-/// What `problem` could reveal; of its records only the input motions count, those of a few events for all.
+/// What `problem` could reveal; of its records only the input motions count.
 ///
 /// ```text
 /// λ = mᵀ (I + J Λ Jᵀ)⁻¹ m                                                 (1)
@@ -90,8 +89,7 @@ pub fn power(problem: &Problem, replay: &dyn Replay, settings: &DiagnoseSettings
         event.outputs =
             motion.map_err(|reason| Error::new("the column did not finish").cause(reason).of_model().at(place()))?;
     }
-    let all = Forward::new(&quiet, replay, settings)?;
-    let forward = all.in_groups(&few::groups(&all));
+    let forward = Forward::new(&quiet, replay, settings)?;
     forward.anchor(&[])?;
     let declared = Declared::new(&quiet)?;
     let prediction = Arc::new(forward.predict(&[])?);

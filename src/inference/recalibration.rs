@@ -35,10 +35,6 @@ impl Replay for With<'_> {
         self.replay.replay_roughly(&self.and(effects))
     }
 
-    fn replay_some_roughly(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Motions> {
-        self.replay.replay_some_roughly(&self.and(effects), is_wanted)
-    }
-
     fn replay_in_halves(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
         self.replay.replay_in_halves(&self.and(effects), is_wanted)
     }

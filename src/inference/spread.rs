@@ -313,12 +313,6 @@ impl Spread {
         Self { level, coherence, correlation, straying, added_share, repeatable, numerical, expected }
     }
 
-    /// The same for the records of `few` alone.
-    pub fn in_events(&self, few: &Forward<'_>) -> Self {
-        let kept = |powers: &Powers| Arc::new(few.kept(powers));
-        Self { numerical: kept(&self.numerical), expected: self.expected.each_ref().map(kept), ..self.clone() }
-    }
-
     /// Error of the column over the declared one when all that records share counts, also what is no error of a column: the solution σ
     /// of (2) with ω at σ instead of the declared error.
     pub fn shared_level(&self, forward: &Forward<'_>) -> f64 {

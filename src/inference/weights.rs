@@ -40,11 +40,6 @@ impl Expected {
         Self { spread: Spread::estimated(forward, &reference), reference }
     }
 
-    /// The same in the events of `few` alone.
-    pub fn in_events(&self, few: &Forward<'_>) -> Self {
-        Self { spread: self.spread.in_events(few), reference: Arc::new(few.kept(&self.reference)) }
-    }
-
     /// Weights of the records.
     pub fn weights(&self, forward: &Forward<'_>) -> Weights {
         Weights::new(forward, &self.spread, &self.reference)
@@ -116,8 +111,6 @@ struct Record {
 ///         `levels_and_coherence_are_read_off_records`, `what_strays_at_one_sensor_strays_at_others`.
 pub struct Weights {
     records: Vec<Record>,
-    /// Records that each of these stands for.
-    stands_for: Vec<f64>,
     /// What half the squares of residuals lack of −ln of the density of the records: the same for all models that take the same channels
     /// for the same sensors.
     pub constant: f64,
@@ -172,7 +165,7 @@ impl Weights {
     fn new(forward: &Forward<'_>, spread: &Spread, prediction: &Prediction) -> Self {
         let indices: Vec<usize> = (0..forward.records.len()).collect();
         let records = indices.par_iter().map(|i| Record::of(forward, spread, *i, &prediction[*i])).collect();
-        let mut weights = Self { records, stands_for: forward.stands_for.clone(), constant: 0.0, beside: 0.0 };
+        let mut weights = Self { records, constant: 0.0, beside: 0.0 };
         let squares: f64 = weights.rows(prediction).iter().flatten().map(|r| r * r).sum();
         let error = (spread.level * model_error(forward)).powi(2);
         weights.beside = weights.density(forward, prediction, error);
@@ -188,7 +181,7 @@ impl Weights {
             let mut by_place: Vec<Vec<Residual>> = (0..places.count).map(|_| Vec::new()).collect();
             for (i, (at, p)) in forward.records.iter().zip(prediction).enumerate() {
                 let Record { coherence, variance, .. } = &self.records[i];
-                let count = self.stands_for[i] * seen(forward, *at).lasting[p.labels[s + 1].channel];
+                let count = seen(forward, *at).lasting[p.labels[s + 1].channel];
                 for (k, f) in forward.frequencies_hz(*at).iter().enumerate() {
                     let (added, left) = (p.outputs[s][k] - p.base[k], p.residual(s, k, coherence[s][k]));
                     by_place[places.at(*f)].push(Residual { count, added, left, variance: variance[s][k] });
@@ -197,16 +190,12 @@ impl Weights {
             by_place.iter().map(|residuals| shared_error(residuals, error)).sum()
         };
         let n_sensor = forward.problem.array.outputs.len();
-        let bases = self.records.iter().zip(&self.stands_for).map(|(record, n)| n * record.base);
-        (0..n_sensor).map(of_sensor).sum::<f64>() + bases.sum::<f64>()
+        (0..n_sensor).map(of_sensor).sum::<f64>() + self.records.iter().map(|record| record.base).sum::<f64>()
     }
 
     /// Residuals of a prediction in units of what is expected of them: half their squares are −ln of (1) and (2), constants apart.
     pub fn rows(&self, prediction: &Prediction) -> Rows {
-        let of = |((record, p), n): ((&Record, &Predicted), &f64)| {
-            record.rows(p).into_iter().map(|r| n.sqrt() * r).collect()
-        };
-        self.records.par_iter().zip(prediction).zip(&self.stands_for).map(of).collect()
+        self.records.par_iter().zip(prediction).map(|(record, p)| record.rows(p)).collect()
     }
 
     /// Residuals in these units of what changes outputs alone, of which `slopes` are those in units of `other`, at `prediction`: the same
@@ -230,7 +219,7 @@ impl Record {
         let at = forward.records[index];
         let f = forward.frequencies_hz(at);
         let (half, ends) = (spectra::smoothing_bins(f), band_hz(forward));
-        let (n_sensor, n_record) = (predicted.outputs.len(), forward.n_record());
+        let (n_sensor, n_record) = (predicted.outputs.len(), forward.records.len() as f64);
         let level = spread.level * model_error(forward);
         let gain = gains(predicted, half);
         let noise: Vec<Vec<f64>> = predicted.labels.iter().map(|l| noise(forward, at, l.channel)).collect();

@@ -24,7 +24,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        88
+        89
     }
 
     fn reads(&self) -> &'static [&'static str] {

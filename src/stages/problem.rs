@@ -269,10 +269,6 @@ impl Replay for Bench<'_> {
         self.replay_of(&self.rough, &self.events, effects)
     }
 
-    fn replay_some_roughly(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Motions> {
-        self.replay_some(&self.rough, effects, is_wanted)
-    }
-
     fn replay_in_halves(&self, effects: &[Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
         let of = |sections| self.replay_some(sections, effects, is_wanted);
         Ok(Some([of(&self.fine)?, of(&self.halved)?]))

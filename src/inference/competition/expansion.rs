@@ -1,24 +1,19 @@
-//! What is fitted around a model: the most promising candidates, first in few events, the best of them in all.
+//! What is fitted around a model: the most promising candidates, first by the surrogate column, the best of them by replays.
 
 use super::null::Null;
 use super::proposals::{Linear, Proposal, distinct};
 use super::{Competition, FAR, FINALS, is_same_set};
 use crate::effects::{self, Instance};
 use crate::error::Result;
-use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::numerics::threads::on_threads;
 use crate::progress::Progress;
-
-/// Prior standard deviations that a tolerance may move for slopes to be carried along.
-const NEAR: f64 = 1.0;
 
 impl<'a> Competition<'a> {
     /// Fits the most promising candidates beside the fitted model with `effects`.
     pub(super) fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
         let base = self.settled(&effects)?;
-        let by = self.few.fitter(&self.fitter);
-        let start = self.few.of(&by, &base)?;
+        let (by, start) = self.around(&base)?;
         let is_open = start.model.effects.len() < self.max_effects;
         let directions = self.directions(&by, &start);
         let linear = Linear::new(&by, &start, &directions).filter(|_| !directions.is_empty());
@@ -37,9 +32,11 @@ impl<'a> Competition<'a> {
         let is_new = |finals: &[Fit<'a>], heat: &Fit<'a>| {
             !finals.iter().any(|f| is_same_set(&f.model.effects, &heat.model.effects))
         };
-        // What is far behind in a few events is not worth all of them; a response without a name is compared with nothing here.
+        // What is far behind by the surrogate is not worth replays, unless something is lacking, to which it may lead; a response without
+        // a name is compared with nothing here.
         let highest = heats.iter().filter(|heat| heat.model.is_named()).map(|heat| self.promise(heat));
-        let worth = highest.fold(f64::NEG_INFINITY, f64::max) - FAR;
+        let far = if self.is_lacking(base.labels()) { f64::INFINITY } else { FAR };
+        let worth = highest.fold(f64::NEG_INFINITY, f64::max) - far;
         for heat in heats.iter().filter(|heat| self.promise(heat) > worth) {
             if finals.len() < FINALS && is_new(&finals, heat) {
                 finals.push(heat.clone());
@@ -50,16 +47,8 @@ impl<'a> Competition<'a> {
         let least = alike.map(|h| (Self::supported(by.forward, &h).1, h)).min_by(|a, b| a.0.total_cmp(&b.0));
         let telling = least.map(|(_, heat)| heat);
         finals.retain(|heat| telling.as_ref().is_none_or(|t| !is_same_set(&t.model.effects, &heat.model.effects)));
-        let of_finals = finals.into_iter().map(|heat| (heat, Stop::ON_THE_WAY));
-        let started = |(heat, stop): (Fit<'a>, Stop)| {
-            let model = Model { declared: base.model.declared, effects: heat.model.effects.clone() };
-            // Slopes where the heat began lead on from where it ended, unless that is far.
-            let is_near = Self::is_near(&base, &heat);
-            let slopes = Self::slopes_of(&base, &model);
-            let start = Start::at(model, heat.x);
-            (if is_near { start.carrying(slopes) } else { start }, stop)
-        };
-        let starts: Vec<_> = of_finals.chain(telling.map(|heat| (heat, Stop::CLOSE))).map(started).collect();
+        let of_finals = finals.into_iter().map(|heat| (Start::led_by(heat), Stop::ON_THE_WAY));
+        let starts: Vec<_> = of_finals.chain(telling.map(|heat| (Start::led_by(heat), Stop::CLOSE))).collect();
         self.begin(&starts);
         self.settle_close(base.labels(), progress)
     }
@@ -93,11 +82,5 @@ impl<'a> Competition<'a> {
         };
         let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.promise(a).total_cmp(&self.promise(b)))
-    }
-
-    /// Whether the tolerances of `heat` are where slopes at `base` are of use.
-    pub(super) fn is_near(base: &Fit<'_>, heat: &Fit<'_>) -> bool {
-        let declared = base.model.declared.len();
-        base.x.iter().zip(&heat.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
     }
 }

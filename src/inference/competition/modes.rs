@@ -18,6 +18,8 @@ const ONE_MODE: f64 = 0.25;
 /// Draws from the prior of velocities from which fits start, and how many of these are fitted to all events.
 const DRAWS: usize = 16;
 const FITTED: usize = 2;
+/// Prior standard deviations of a declared value within which two fits are at the same mode.
+const NEAR: f64 = 1.0;
 
 impl<'a> Competition<'a> {
     /// Whether fits from different declared values may end at different modes.
@@ -27,7 +29,7 @@ impl<'a> Competition<'a> {
         deviation_s * band_hz(self.fitter.forward)[1] > ONE_MODE
     }
 
-    /// Fits the most probable model under `labels` from draws of velocities, in few events and, what ended elsewhere, in all, and keeps where
+    /// Fits the most probable model under `labels` from draws of velocities, by the surrogate column and, what ended elsewhere, by replays, and keeps where
     /// these ended. Whether one does better than where it was.
     pub(super) fn explore(&mut self, labels: &[Label], progress: &dyn Progress) -> Result<bool> {
         let leading = self.leading(labels).clone();
@@ -36,18 +38,17 @@ impl<'a> Competition<'a> {
         }
         self.explored.push(leading.model.effects.clone());
         self.modes.clear();
-        let by = self.few.fitter(&self.fitter);
-        let own = self.few.of(&by, &leading)?;
+        let (by, own) = self.around(&leading)?;
         let mut found = self.first_fits(&by, &draws(&own));
         self.most_promising_first(&mut found);
         let least = self.log_posterior(&own) - FAR;
-        found.retain(|fit| self.promise(fit) > least && !Self::is_near(&own, fit));
+        found.retain(|fit| self.promise(fit) > least && !is_near(&own, fit));
         let mut modes = vec![leading.clone()];
         for fit in found.into_iter().take(FITTED) {
-            modes.extend(self.finish(Start::at(leading.model.clone(), fit.x), progress));
+            modes.extend(self.finish(Start::led_by(fit), progress));
         }
         let best = self.known(&leading.model.effects).map_or(&leading, |i| &self.fits[i]);
-        modes.retain(|mode| !Self::is_near(best, mode));
+        modes.retain(|mode| !is_near(best, mode));
         let is_better = self.log_posterior(best) > self.log_posterior(&leading);
         self.modes = modes;
         Ok(is_better)
@@ -112,6 +113,12 @@ fn draws<'a>(own: &Fit<'a>) -> Vec<Start<'a>> {
         start
     };
     (0..DRAWS).map(of).collect()
+}
+
+/// Whether the declared values of two fits are at the same mode.
+fn is_near(one: &Fit<'_>, other: &Fit<'_>) -> bool {
+    let declared = one.model.declared.len();
+    one.x.iter().zip(&other.x).take(declared).all(|(a, b)| (a - b).abs() < NEAR)
 }
 
 #[cfg(test)]

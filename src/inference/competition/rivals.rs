@@ -6,7 +6,6 @@ use super::{Competition, FAR, FINALS, has_set, is_same_set};
 use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::inference::forward::Label;
-use crate::inference::parameters::Model;
 use crate::inference::posterior::{Fit, Fitter, Start, Stop};
 use crate::progress::Progress;
 
@@ -19,17 +18,13 @@ impl<'a> Competition<'a> {
             return Ok(false);
         }
         self.challenged.push(leading.model.effects.clone());
-        let by = self.few.fitter(&self.fitter);
-        let start = self.few.of(&by, &leading)?;
+        let (by, start) = self.around(&leading)?;
         let mut rivals = self.rivals(&by, &start);
         self.most_promising_first(&mut rivals);
         let least = self.log_posterior(&start) - FAR;
         rivals.retain(|rival| self.promise(rival) > least);
-        let started = |rival: Fit<'a>| {
-            let model = Model { declared: leading.model.declared, effects: rival.model.effects };
-            (Start::at(model, rival.x), Stop::ON_THE_WAY)
-        };
-        let starts: Vec<_> = rivals.into_iter().take(FINALS).map(started).collect();
+        let starts: Vec<_> =
+            rivals.into_iter().take(FINALS).map(|rival| (Start::led_by(rival), Stop::ON_THE_WAY)).collect();
         self.begin(&starts);
         self.settle_close(labels, progress)?;
         Ok(!is_same_set(&leading.model.effects, &self.leading(labels).model.effects))
@@ -108,6 +103,7 @@ fn is_rival(own: &Instance, other: &Instance) -> bool {
 mod tests {
     use super::super::super::made_up::{Nonlinear, Truth, as_declared, in_competition, problem};
     use super::*;
+    use crate::inference::parameters::Model;
 
     #[test]
     fn a_place_next_to_that_of_an_effect_is_always_a_rival() {
@@ -125,8 +121,8 @@ mod tests {
             let boundaries = competition.instances.iter().filter(|i| i.kind == "interface_depth");
             assert!(boundaries.map(|own| competition.next_to(own).len()).all(|count| count <= 2));
             // Nothing slips in records of what is declared.
-            let by = competition.few.fitter(&competition.fitter);
-            let model = Model { declared: competition.few.declared, effects: vec![slips[3].clone()] };
+            let (by, _) = competition.around(&competition.fits[0]).unwrap();
+            let model = Model { declared: competition.fits[0].model.declared, effects: vec![slips[3].clone()] };
             let x = [vec![0.0; model.declared.len()], slips[3].start()].concat();
             let base = by.fit(Start::at(model, x), Stop::WHERE_IT_IS).unwrap();
             let rivals = competition.rivals(&by, &base);

@@ -1,4 +1,4 @@
-//! Candidates that may be strong: each over all its strengths, from what is declared, in few events. Where tolerances or other effects
+//! Candidates that may be strong: each over all its strengths, from what is declared, by the surrogate column. Where tolerances or other effects
 //! stand in for something strong, what is linear beside them says little of it.
 
 use super::proposals::{SHORTLIST, away, is_among_best, is_linear};
@@ -125,8 +125,7 @@ mod tests {
         }
         let check = |competition: Competition<'_>| {
             assert!(competition.fits[0].is_strained());
-            let by = competition.few.fitter(&competition.fitter);
-            let base = competition.few.of(&by, &competition.fits[0]).unwrap();
+            let (by, base) = competition.around(&competition.fits[0]).unwrap();
             let found = competition.strong(&by, &base);
             let best =
                 found.iter().max_by(|a, b| competition.log_posterior(a).total_cmp(&competition.log_posterior(b)));
