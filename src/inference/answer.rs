@@ -22,7 +22,7 @@ use crate::effects::{self, Instance};
 use crate::error::Result;
 use crate::progress::Progress;
 use crate::records::Split;
-use bagged::{Standing, bagged, probabilities};
+use bagged::probabilities;
 use declared::declared_values;
 use kinds::{Masses, alternatives, besides, has_all, is_taken, known_kinds};
 use residuals::{Residuals, closest_to_mean};
@@ -65,7 +65,8 @@ pub fn diagnose(
     competition.run(progress)?;
     let mut most = BTreeMap::new();
     loop {
-        let answer = Answer { forward: &forward, competition: &competition, problem, most: &most };
+        let probabilities = probabilities(&forward, &competition);
+        let answer = Answer { forward: &forward, competition: &competition, problem, most: &most, probabilities };
         // What is known may be part of several models and no model by itself.
         if let Some(effects) = answer.unfitted() {
             competition.fit_part(&effects)?;
@@ -84,6 +85,8 @@ struct Answer<'c, 'a> {
     problem: &'c Problem,
     /// How often effects of a kind are named at most, where that is limited.
     most: &'c BTreeMap<&'static str, usize>,
+    /// Posterior probability of each fitted model.
+    probabilities: Vec<f64>,
 }
 
 impl<'a> Answer<'_, 'a> {
@@ -253,20 +256,9 @@ impl<'a> Answer<'_, 'a> {
         1.0 - self.residuals(fit).share() / plain.max(f64::MIN_POSITIVE)
     }
 
-    /// Every fitted model with its posterior probability; where a response without a name is ahead, none of them is the right one.
+    /// Every fitted model with its posterior probability.
     fn probabilities(&self) -> impl Iterator<Item = (&Fit<'a>, f64)> {
-        let fits = &self.competition.fits;
-        let standings: Vec<Standing> = fits.iter().map(|fit| self.standing(fit)).collect();
-        let is_named = self.competition.best().model.is_named();
-        fits.iter().zip(if is_named { probabilities(&standings) } else { bagged(&standings) })
-    }
-
-    fn standing(&self, fit: &Fit<'_>) -> Standing {
-        let mut by_event = vec![0.0; self.forward.groups.len()];
-        for (at, rows) in self.forward.records.iter().zip(fit.rows.iter()) {
-            by_event[at.group] -= rows.iter().map(|r| 0.5 * r * r).sum::<f64>();
-        }
-        Standing { log_posterior: self.competition.log_posterior(fit), by_event }
+        self.competition.fits.iter().zip(self.probabilities.iter().copied())
     }
 
     /// Posterior probability of each set of kinds.

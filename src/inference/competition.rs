@@ -47,7 +47,8 @@ use std::sync::Arc;
 /// Single effects and pairs that are fitted around one model by the surrogate column, and how many of these by replays.
 const HEATS: usize = 4;
 const FINALS: usize = 6;
-/// ln of the odds against the best within which models are fitted to all events, and kept when what is expected of residuals has changed.
+/// ln of the odds against the best within which models are fitted by replays, and kept when what is expected of residuals has changed,
+/// unless something is lacking in all.
 const FAR: f64 = 30.0;
 /// The same within which candidates are looked for around a model, and models fitted to the end: odds of 20 to 1.
 ///

@@ -89,7 +89,7 @@ pub struct Equivalent {
 }
 
 impl Equivalent {
-    /// Tunes it to `motions` that were replayed of `forward` under `tables`; what it leaves of them, `[record][sensor][bin]`.
+    /// Tunes it to `motions` that were replayed of `forward` under `tables`; what it has there, `[record][sensor][bin]`.
     ///
     /// # Errors
     /// When the column cannot be built.
@@ -98,8 +98,7 @@ impl Equivalent {
         let columns = Columns::new(forward, tables, &self.curves, near.as_deref())?.tuned_to(forward, motions);
         let own = columns.motions(forward);
         *lock(&self.tuned) = Some(Arc::new(columns));
-        let less = |(a, b): (&Vec<C64>, &Vec<C64>)| a.iter().zip(b).map(|(a, b)| a - b).collect();
-        Ok(motions.iter().zip(&own).map(|(a, b)| a.iter().zip(b).map(less).collect()).collect())
+        Ok(own)
     }
 
     /// Motions at the output sensors of `forward` under `tables`, `[record][sensor][bin]`.

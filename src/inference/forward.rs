@@ -7,6 +7,8 @@
 //!
 //! Only what shakes the column is replayed; whatever else is asked for of the same shaking comes from memory.
 
+mod discretisation;
+
 use super::coherence::coherent;
 use super::equivalent::Equivalent;
 use crate::diagnosis::spectra::{self, Group};
@@ -123,14 +125,13 @@ impl<'a> Forward<'a> {
     }
 
     /// The same, nothing replayed yet.
-    #[cfg(test)]
     pub fn again(&self) -> Self {
         Self::of(self.problem, self.replay, self.groups.clone())
     }
 
     /// The same with the equivalent-linear column in place of replays, known nowhere yet; see [`Forward::follow`].
     pub fn equivalent_linear(&self) -> Self {
-        Self { equivalent: Some(Equivalent::default()), ..Self::of(self.problem, self.replay, self.groups.clone()) }
+        Self { equivalent: Some(Equivalent::default()), ..self.again() }
     }
 
     /// Replays run so far.
@@ -192,13 +193,6 @@ impl<'a> Forward<'a> {
         Ok(found)
     }
 
-    /// Which events of the problem `groups` are made of.
-    fn events_of(&self, groups: &[Group]) -> Vec<bool> {
-        let mut is_theirs = vec![false; self.problem.events.len()];
-        groups.iter().flat_map(|g| &g.records).for_each(|r| is_theirs[r.event] = true);
-        is_theirs
-    }
-
     /// Makes the fine replay at `tables` the anchor: from now on rough replays are corrected by what the two differ there.
     ///
     /// # Errors
@@ -223,9 +217,11 @@ impl<'a> Forward<'a> {
     pub fn follow(&self, whole: &Self, tables: &[Table]) -> Result<()> {
         let anchor = if let Some(equivalent) = &self.equivalent {
             let shaken = self.shaken(tables);
-            let difference = Arc::new(equivalent.tune(self, &shaken, &whole.corrected(&shaken)?)?);
+            let mut difference = whole.corrected(&shaken)?.to_vec();
+            let own = equivalent.tune(self, &shaken, &difference)?;
+            add(&mut difference, &own, -1.0);
             lock(&self.known).clear();
-            Some(Anchor { key: key(&shaken), difference })
+            Some(Anchor { key: key(&shaken), difference: Arc::new(difference) })
         } else {
             lock(&whole.anchor).clone()
         };
@@ -236,32 +232,6 @@ impl<'a> Forward<'a> {
     /// What few elements and long steps leave wrong at the anchor, by record: nothing before there is one.
     pub fn numerical_error(&self) -> Option<Arc<Vec<Bins>>> {
         lock(&self.anchor).as_ref().map(|anchor| anchor.difference.clone())
-    }
-
-    /// What smaller elements and shorter steps would still change of the motions of the strongest event under `tables`, as the largest
-    /// share over the output sensors.
-    ///
-    /// ```text
-    /// d_s = (Σ |Y − Y½|²/Σ |Y½|²)^½,   Y½ with elements and steps half as large, over its records and bins              (1)
-    /// ```
-    ///
-    /// None where there are none smaller, or where the column does not finish with them.
-    pub fn discretisation_share(&self, tables: &[Table]) -> Option<f64> {
-        let group = strongest(self);
-        let is_wanted = self.events_of(&self.groups[group..=group]);
-        let [whole, halved] = self.replay.replay_in_halves(&self.shaken(tables), &is_wanted).ok()??;
-        let n_sensor = self.names.len() - 1;
-        let mut sums = vec![[0.0; 2]; n_sensor];
-        for at in self.records.iter().filter(|at| at.group == group) {
-            let event = self.groups[group].records[at.record].event;
-            let [whole, halved] = [&whole[event], &halved[event]].map(|motion| motion.as_ref().ok());
-            for ((sum, a), b) in sums.iter_mut().zip(whole?).zip(halved?) {
-                for (a, b) in self.bins(*at, a).into_iter().zip(self.bins(*at, b)) {
-                    *sum = [sum[0] + (a - b).norm_sqr(), sum[1] + b.norm_sqr()];
-                }
-            }
-        }
-        Some(sums.into_iter().map(|[d, all]| (d / all.max(f64::MIN_POSITIVE)).sqrt()).fold(0.0, f64::max))
     }
 
     /// What every sensor records under `tables` on top of what is declared.
@@ -435,15 +405,6 @@ fn add(to: &mut [Bins], from: &[Bins], factor: f64) {
     }
 }
 
-/// The strongest event.
-fn strongest(forward: &Forward<'_>) -> usize {
-    let strength = |g: &usize| -> f64 {
-        let of = |event: usize| forward.problem.events[event].input.iter().fold(0.0, |m: f64, a| m.max(a.abs()));
-        forward.groups[*g].records.iter().map(|r| of(r.event)).fold(0.0, f64::max)
-    };
-    (0..forward.groups.len()).max_by(|a, b| strength(a).total_cmp(&strength(b))).unwrap_or(0)
-}
-
 /// The labels of the sensors of a prediction.
 pub fn labels(prediction: &Prediction) -> &[Label] {
     prediction.first().map_or(&[], |p| &p.labels)
@@ -465,41 +426,4 @@ fn key(tables: &[Table]) -> String {
 
 pub fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::made_up::{Truth, Uniform, problem};
-    use super::*;
-
-    /// Smaller elements make the motion of the upper sensor a twentieth larger in the strongest event, and a tenth in the others.
-    struct InHalves<'a>(Uniform<'a>);
-
-    impl Replay for InHalves<'_> {
-        fn replay(&self, effects: &[toml::Table]) -> Result<Motions> {
-            self.0.replay(effects)
-        }
-
-        fn replay_in_halves(&self, effects: &[toml::Table], is_wanted: &[bool]) -> Result<Option<[Motions; 2]>> {
-            let whole = self.replay(effects)?;
-            let mut halved = whole.clone();
-            for (motion, is_wanted) in halved.iter_mut().zip(is_wanted) {
-                let factor = if *is_wanted { 1.05 } else { 1.1 };
-                motion.as_mut().unwrap().last_mut().unwrap().iter_mut().for_each(|v| *v *= factor);
-            }
-            Ok(Some([whole, halved]))
-        }
-    }
-
-    #[test]
-    fn what_is_not_converged_is_told_of_the_strongest_event_and_the_worst_sensor() {
-        let problem = problem(&Truth::default());
-        let replay = InHalves(Uniform(&problem));
-        let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
-        let share = forward.discretisation_share(&[]).unwrap();
-        assert!((share - 0.05 / 1.05).abs() < 1e-9, "{share}");
-        let silent = Uniform(&problem);
-        let forward = Forward::new(&problem, &silent, &DiagnoseSettings::default()).unwrap();
-        assert_eq!(forward.discretisation_share(&[]), None);
-    }
 }

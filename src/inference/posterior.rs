@@ -91,7 +91,7 @@ impl<'a> Start<'a> {
         Self { axes: None, is_settled: false, ..self }
     }
 
-    /// From where a fit by another column ended, its slopes such as lead on from there.
+    /// From where a fit of another model or by another column ended, its slopes such as lead on from there.
     pub fn led_by(found: Fit<'a>) -> Self {
         Self { axes: None, is_settled: false, ..Self::from(found) }
     }

@@ -1,5 +1,8 @@
-//! Probabilities of models none of which is right.
+//! Probabilities of models, also where none of them is right.
 
+use crate::inference::competition::Competition;
+use crate::inference::forward::Forward;
+use crate::inference::posterior::Fit;
 use crate::numerics::random;
 use rand::RngExt;
 
@@ -7,15 +10,32 @@ use rand::RngExt;
 const DRAWS: usize = 1000;
 
 /// A model as the records have it.
-pub(super) struct Standing {
+struct Standing {
     /// ln of its posterior up to a constant.
-    pub log_posterior: f64,
+    log_posterior: f64,
     /// ln of the density of the records of each event up to constants, a part of that.
-    pub by_event: Vec<f64>,
+    by_event: Vec<f64>,
+}
+
+impl Standing {
+    fn of(forward: &Forward<'_>, fit: &Fit<'_>, log_posterior: f64) -> Self {
+        let mut by_event = vec![0.0; forward.groups.len()];
+        for (at, rows) in forward.records.iter().zip(fit.rows.iter()) {
+            by_event[at.group] -= rows.iter().map(|r| 0.5 * r * r).sum::<f64>();
+        }
+        Self { log_posterior, by_event }
+    }
+}
+
+/// Posterior probability of each model of a `competition`; where a response without a name is ahead, none of them is the right one.
+pub(super) fn probabilities(forward: &Forward<'_>, competition: &Competition<'_>) -> Vec<f64> {
+    let of = |fit: &Fit<'_>| Standing::of(forward, fit, competition.log_posterior(fit));
+    let standings: Vec<Standing> = competition.fits.iter().map(of).collect();
+    if competition.best().model.is_named() { plain(&standings) } else { bagged(&standings) }
 }
 
 /// Posterior probability of each of `models`.
-pub(super) fn probabilities(models: &[Standing]) -> Vec<f64> {
+fn plain(models: &[Standing]) -> Vec<f64> {
     shares(models.iter().map(|m| m.log_posterior).collect())
 }
 
@@ -29,7 +49,7 @@ pub(super) fn probabilities(models: &[Standing]) -> Vec<f64> {
 /// is as sure of it as of a right one. How the events differ tells how much of that is chance.
 ///
 /// Source: Huggins and Miller (2023), doi 10.1214/21-BA1301.
-pub(super) fn bagged(models: &[Standing]) -> Vec<f64> {
+fn bagged(models: &[Standing]) -> Vec<f64> {
     let n_event = models.first().map_or(0, |m| m.by_event.len());
     let mut stream = random::stream(0, "draws of events");
     let mut sums = vec![0.0; models.len()];
@@ -70,8 +90,8 @@ mod tests {
         let sure = |of: fn(&[Standing]) -> Vec<f64>| {
             (0..100).filter(|seed| of(&two(*seed, 0.0)).iter().any(|p| *p > 0.95)).count()
         };
-        let [plain, averaged] = [sure(probabilities), sure(bagged)];
-        assert!(plain > 70, "{plain}");
+        let [once, averaged] = [sure(plain), sure(bagged)];
+        assert!(once > 70, "{once}");
         assert!(averaged < 20, "{averaged}");
         let ahead = (0..100).filter(|seed| bagged(&two(*seed, 4.0))[1] > 0.95).count();
         assert!(ahead > 90, "{ahead}");
@@ -83,7 +103,7 @@ mod tests {
         let models = [of(0.0), of(0.3)];
         let expected = 1.0 / (1.0 + (-3.0_f64).exp());
         assert!((bagged(&models)[1] - expected).abs() < 1e-12);
-        assert!((probabilities(&models)[1] - expected).abs() < 1e-12);
+        assert!((plain(&models)[1] - expected).abs() < 1e-12);
         assert_eq!(bagged(&models), bagged(&models));
     }
 }

@@ -79,11 +79,11 @@ impl<'a> Competition<'a> {
 
 /// Where `base` is, effect `index` left out.
 fn without<'a>(base: &Fit<'a>, index: usize) -> Start<'a> {
-    let mut rest = Start::from(base.clone());
+    let mut rest = Start::led_by(base.clone());
     rest.x.drain(base.model.coordinates_of(index));
     rest.slopes.drain(base.model.coordinates_of(index));
     rest.model.effects.remove(index);
-    Start { axes: None, is_settled: false, ..rest }
+    rest
 }
 
 /// Where `base` is, `other` in the place of its effect `index` and as strong.
