@@ -1,8 +1,9 @@
 //! Which effects the records ask for: every effect at every place, alone and in pairs, against what is declared, by evidence.
 //!
-//! Beside a fitted model every candidate is tried by the surrogate column at strengths on both sides of nothing. How residuals change
-//! towards such a node is a direction; beside it the coordinates of the model give way, so that the evidence of each candidate, and of each
-//! pair, is a small linear problem ([`Competition::expand`]), whose best are fitted by the surrogate. What may be strong is also fitted from
+//! Beside a fitted model every candidate is tried by the surrogate column at strengths on both sides of nothing, or by replays where the
+//! column foretells less than half of how these change ([`FORETOLD`]). How residuals change towards such a node is a direction; beside it
+//! the coordinates of the model give way, so that the evidence of each candidate, and of each pair, is a small linear problem
+//! ([`Competition::expand`]), whose best are fitted by the surrogate. What may be strong is also fitted from
 //! declared values ([`scan`]). The best of all are then fitted by replays. The search of a model goes on to its end where it promises to
 //! count ([`Competition::settle_close`]): most models are far behind wherever theirs would end. What could be taken for the effects of the
 //! model that leads is fitted in their place ([`rivals`]), at once or, where something is lacking in all models, when nothing is left to
@@ -29,10 +30,10 @@ mod scan;
 
 use super::forward::{Forward, Label, Prediction};
 use super::parameters::Model;
-use super::posterior::{Fit, Fitter, Start, Stop};
+use super::posterior::{Fit, Fitter, Slope, Start, Stop, foretold};
 use super::power::hidden;
 use super::recalibration::recalibrated;
-use super::weights::{Expected, Rows};
+use super::weights::Expected;
 use crate::diagnosis::Hidden;
 use crate::effects::{self, Instance};
 use crate::error::Result;
@@ -62,6 +63,8 @@ const ROUNDS: usize = 24;
 const LABEL_ROUNDS: usize = 2;
 /// Most rounds at the end.
 const SETTLINGS: usize = 3;
+/// Share of the power of how replays change above which the equivalent-linear column stands for them: more of it is right than wrong.
+const FORETOLD: f64 = 0.5;
 /// Change of ln of the density that records tell.
 const TOLD: f64 = 0.5;
 
@@ -86,11 +89,13 @@ pub struct Competition<'a> {
 }
 
 impl<'a> Competition<'a> {
-    /// Prepares the competition around `declared`, the fit without effects; candidates are looked for by the `surrogate` of its column.
-    pub fn new(fitter: Fitter<'a>, declared: Fit<'a>, surrogate: &'a Forward<'a>, max_effects: usize) -> Self {
+    /// Prepares the competition around `declared`, the fit without effects; candidates are looked for by the `surrogate` of its column, and
+    /// what they do is told by replays where that tells too little of how these change.
+    pub fn new(mut fitter: Fitter<'a>, declared: Fit<'a>, surrogate: &'a Forward<'a>, max_effects: usize) -> Self {
         let array = &fitter.forward.problem.array;
         let instances = acting(array);
         let unnamed = effects::unnamed(array);
+        fitter.is_led &= foretold(&declared.slopes, &declared.model.prior()).is_none_or(|share| share > FORETOLD);
         let ln_prior = ln_prior(fitter.forward, instances.iter().chain(&unnamed));
         Self {
             fitter,
@@ -357,7 +362,7 @@ impl<'a> Competition<'a> {
     }
 
     /// Slopes of `fit` by the coordinates of another model, as far as the two share them.
-    fn slopes_of(fit: &Fit<'a>, model: &Model<'a>) -> Vec<Option<Arc<Rows>>> {
+    fn slopes_of(fit: &Fit<'a>, model: &Model<'a>) -> Vec<Option<Slope>> {
         let of_effect = |effect: &Instance| match fit.model.index_of(effect) {
             Some(index) => fit.model.coordinates_of(index).map(|i| Some(fit.slopes[i].clone())).collect(),
             None => vec![None; effect.free.len()],

@@ -134,6 +134,11 @@ impl<'a> Forward<'a> {
         Self { equivalent: Some(Equivalent::default()), ..self.again() }
     }
 
+    /// The equivalent-linear column in place of replays, unless it is that; see [`Forward::equivalent_linear`].
+    pub fn column(&self) -> Option<Self> {
+        self.equivalent.is_none().then(|| self.equivalent_linear())
+    }
+
     /// Replays run so far.
     pub fn replays(&self) -> usize {
         *lock(&self.replays)

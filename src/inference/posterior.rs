@@ -14,8 +14,8 @@ use crate::error::Result;
 use crate::metrics::{normal_probability, scaled_tail};
 use faer::Mat;
 use rayon::prelude::*;
-pub use search::Stop;
-use slopes::Axes;
+pub use search::{Stop, Taken};
+pub use slopes::{Slope, foretold, rows_of};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};
 
@@ -36,11 +36,11 @@ pub struct Fit<'a> {
     /// −ln of the posterior density, constants apart.
     pub cost: f64,
     /// How residuals change with each coordinate.
-    pub slopes: Vec<Arc<Rows>>,
+    pub slopes: Vec<Slope>,
     /// Normal equations: information on the coordinates, and in the last row and column the right-hand side.
     pub g: Mat<f64>,
-    /// Along which axes the slopes were taken here; none where they were carried here.
-    pub axes: Option<Axes>,
+    /// Where its slopes are from.
+    pub taken: Taken,
     /// Whether its search came to its end; otherwise there may be more to gain than models can be compared by.
     pub is_settled: bool,
 }
@@ -54,6 +54,8 @@ pub struct Fitter<'a> {
     weights: Mutex<HashMap<Vec<Label>, Arc<Weights>>>,
     /// The highest frequency that counts, Hz.
     high_hz: f64,
+    /// Whether the equivalent-linear column tells how replays change.
+    pub is_led: bool,
 }
 
 /// Where a fit starts.
@@ -64,9 +66,9 @@ pub struct Start<'a> {
     /// Its coordinates.
     pub x: Vec<f64>,
     /// Slopes that are known already, by coordinate.
-    pub slopes: Vec<Option<Arc<Rows>>>,
-    /// Axes along which slopes at `x` are to be taken.
-    pub axes: Option<Axes>,
+    pub slopes: Vec<Option<Slope>>,
+    /// Where these are from.
+    pub taken: Taken,
     /// Whether that is where a search came to its end.
     pub is_settled: bool,
 }
@@ -74,11 +76,11 @@ pub struct Start<'a> {
 impl<'a> Start<'a> {
     /// From `x`.
     pub fn at(model: Model<'a>, x: Vec<f64>) -> Self {
-        Self { model, x, slopes: Vec::new(), axes: None, is_settled: false }
+        Self { model, x, slopes: Vec::new(), taken: Taken::Elsewhere, is_settled: false }
     }
 
     /// The same with `slopes` from elsewhere.
-    pub fn carrying(self, slopes: impl IntoIterator<Item = Option<Arc<Rows>>>) -> Self {
+    pub fn carrying(self, slopes: impl IntoIterator<Item = Option<Slope>>) -> Self {
         Self { slopes: slopes.into_iter().collect(), ..self }
     }
 
@@ -88,18 +90,18 @@ impl<'a> Start<'a> {
         self.model.effects.push(effect.clone());
         self.x.extend(at);
         self.slopes.resize(self.x.len(), None);
-        Self { axes: None, is_settled: false, ..self }
+        Self { taken: Taken::Elsewhere, is_settled: false, ..self }
     }
 
     /// From where a fit of another model or by another column ended, its slopes such as lead on from there.
     pub fn led_by(found: Fit<'a>) -> Self {
-        Self { axes: None, is_settled: false, ..Self::from(found) }
+        Self { taken: Taken::Elsewhere, is_settled: false, ..Self::from(found) }
     }
 
     /// From the fit `found`, with its slopes.
     pub fn from(found: Fit<'a>) -> Self {
-        let Fit { model, x, slopes, axes, is_settled, .. } = found;
-        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), axes, is_settled }
+        let Fit { model, x, slopes, taken, is_settled, .. } = found;
+        Self { model, x, slopes: slopes.into_iter().map(Some).collect(), taken, is_settled }
     }
 }
 
@@ -119,7 +121,7 @@ impl<'a> Fitter<'a> {
     }
 
     fn of(forward: &'a Forward<'a>, expected: HashMap<Vec<Label>, Expected>) -> Self {
-        Self { forward, expected, weights: Mutex::default(), high_hz: f64::INFINITY }
+        Self { forward, expected, weights: Mutex::default(), high_hz: f64::INFINITY, is_led: true }
     }
 
     /// The same with this for the labels of its reference.
@@ -127,12 +129,13 @@ impl<'a> Fitter<'a> {
     pub fn expecting(&self, expected: Expected) -> Self {
         let mut all = self.expected.clone();
         all.insert(labels(&expected.reference).to_vec(), expected);
-        Self::of(self.forward, all)
+        Self { is_led: self.is_led, ..Self::of(self.forward, all) }
     }
 
     /// The same with the column as `forward` has it.
-    pub fn through(&self, forward: &'a Forward<'a>) -> Self {
-        Self::of(forward, self.expected.clone())
+    pub fn through<'f>(&self, forward: &'f Forward<'f>) -> Fitter<'f> {
+        let weights = Mutex::new(lock(&self.weights).clone());
+        Fitter { forward, expected: self.expected.clone(), weights, ..*self }
     }
 
     /// What is expected of the residuals of models with the labels of `prediction`.
@@ -144,19 +147,18 @@ impl<'a> Fitter<'a> {
     /// is not replayed are taken anew wherever a fit begins, so that all that count here change outputs alone.
     pub fn weighed_anew(&self, found: Fit<'a>, other: &Self) -> Start<'a> {
         let [own, other] = [self, other].map(|by| by.weights(&found.prediction));
-        let converted = |slope: &Arc<Rows>| own.converted(slope, &other, &found.prediction).map(Arc::new);
-        let start = match found.slopes.iter().map(converted).collect::<Option<Vec<_>>>() {
-            Some(slopes) => Start::from(Fit { slopes, ..found }),
-            None => Start { slopes: Vec::new(), ..Start::from(found) },
-        };
-        Start { is_settled: false, ..start }
+        let converted = |slope: &Slope| slope.converted(|rows| own.converted(rows, &other, &found.prediction));
+        match found.slopes.iter().map(converted).collect::<Option<Vec<_>>>() {
+            Some(slopes) => Start { is_settled: false, ..Start::from(Fit { slopes, ..found }) },
+            None => Start::at(found.model, found.x),
+        }
     }
 
     /// What a model predicts.
     ///
     /// # Errors
     /// When the column cannot be replayed.
-    pub fn predict(&self, model: &Model<'a>, x: &[f64]) -> Result<Arc<Prediction>> {
+    pub fn predict(&self, model: &Model<'_>, x: &[f64]) -> Result<Arc<Prediction>> {
         let mut prediction = self.forward.predict(&model.tables(x))?;
         convention::add(&mut prediction, &model.declared.conventions, model.declared.convention_strengths(x));
         prediction.iter_mut().for_each(|p| p.added_share = x[model.declared.added()]);
@@ -181,7 +183,7 @@ impl<'a> Fitter<'a> {
         Ok(combined(&self.rows(&*self.predict_with(base, effect, at)?).0, &base.rows, 1.0, -1.0))
     }
 
-    fn point(&self, model: &Model<'a>, x: Vec<f64>) -> Result<Point> {
+    fn point(&self, model: &Model<'_>, x: Vec<f64>) -> Result<Point> {
         let prediction = self.predict(model, &x)?;
         let (rows, constant) = self.rows(&prediction);
         Ok(Point { x, prediction, rows, constant })
@@ -231,7 +233,7 @@ impl<'a> Fitter<'a> {
     }
 
     fn below(&self, high_hz: f64) -> Self {
-        Self { high_hz, ..Self::of(self.forward, self.expected.clone()) }
+        Self { high_hz, is_led: self.is_led, ..Self::of(self.forward, self.expected.clone()) }
     }
 
     /// Those of `rows` that count.
@@ -313,7 +315,7 @@ impl Fit<'_> {
             let kept = |rows: &Rows| -> Rows {
                 rows.iter().zip(groups).filter(|(_, g)| **g != event).map(|(r, _)| r.clone()).collect()
             };
-            let slopes: Vec<Arc<Rows>> = self.slopes.iter().map(|s| Arc::new(kept(s))).collect();
+            let slopes: Vec<Arc<Rows>> = self.slopes.iter().map(|s| Arc::new(kept(&s.rows))).collect();
             let g = normal(&slopes, &kept(&self.rows));
             let step = solved(&information(&self.model, &g), &gradient(&self.model, &self.x, &g))?;
             Some(self.x.iter().zip(step).map(|(x, d)| x + d).collect())

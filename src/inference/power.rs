@@ -175,7 +175,7 @@ struct Seen<'s, 'a> {
 impl Seen<'_, '_> {
     fn mark(&self, instance: &Instance, at: &[f64]) -> Option<Mark> {
         let change = self.fitter.change_with(self.base, instance, at).ok()?;
-        let by_declared: Vec<f64> = self.base.slopes.iter().map(|slope| dot(slope, &change)).collect();
+        let by_declared: Vec<f64> = self.base.slopes.iter().map(|slope| dot(&slope.rows, &change)).collect();
         let n = by_declared.len();
         let follows = (0..n).map(|i| (0..n).map(|j| self.covariance[(i, j)] * by_declared[j]).sum()).collect();
         square(&change).is_finite().then_some(Mark { change, by_declared, follows })

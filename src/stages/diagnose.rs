@@ -24,7 +24,7 @@ impl Stage for Diagnose {
     }
 
     fn version(&self) -> u32 {
-        89
+        90
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -24,7 +24,7 @@ use toml::{Table, Value};
 pub struct Twins;
 
 /// Kind and version of the cache entries of single twins.
-const TWIN: ItemKind = ItemKind::of_output("twin", 74);
+const TWIN: ItemKind = ItemKind::of_output("twin", 75);
 /// For the command; the same is beside it as JSON, where what is open upwards is `null`.
 const FILE: &str = "twins.toml";
 /// Step at which errors are taken, s.
@@ -52,7 +52,7 @@ impl Stage for Twins {
     }
 
     fn version(&self) -> u32 {
-        72
+        73
     }
 
     fn reads(&self) -> &'static [&'static str] {

@@ -1,4 +1,5 @@
-//! What is fitted around a model: the most promising candidates, first by the surrogate column, the best of them by replays.
+//! What is fitted around a model: the most promising candidates, first by the surrogate column or, where that tells too little, as far as
+//! the linear problem leads, the best of them by replays.
 
 use super::null::Null;
 use super::proposals::{Linear, Proposal, distinct};
@@ -13,7 +14,8 @@ impl<'a> Competition<'a> {
     /// Fits the most promising candidates beside the fitted model with `effects`.
     pub(super) fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
         let base = self.settled(&effects)?;
-        let (by, start) = self.around(&base)?;
+        let by_replays = || (self.fitter.through(self.fitter.forward), base.clone());
+        let (by, start) = if self.fitter.is_led { self.around(&base)? } else { by_replays() };
         let is_open = start.model.effects.len() < self.max_effects;
         let directions = self.directions(&by, &start);
         let linear = Linear::new(&by, &start, &directions).filter(|_| !directions.is_empty());
@@ -25,7 +27,7 @@ impl<'a> Competition<'a> {
         let mut heats = self.heats(&by, &start, linear.as_ref());
         heats.extend(self.unnamed(&by, &start));
         if is_open && base.is_strained() {
-            heats.extend(self.strong(&by, &start));
+            heats.extend(self.strong_beside(&base, &by, &start)?);
         }
         self.most_promising_first(&mut heats);
         let mut finals: Vec<Fit<'a>> = Vec::new();
@@ -53,6 +55,17 @@ impl<'a> Competition<'a> {
         self.settle_close(base.labels(), progress)
     }
 
+    /// First fits of what may be strong, always sought by the surrogate column, as `by` has them.
+    fn strong_beside(&self, base: &Fit<'a>, by: &Fitter<'a>, start: &Fit<'a>) -> Result<Vec<Fit<'a>>> {
+        if self.fitter.is_led {
+            return Ok(self.strong(by, start));
+        }
+        let (column, start) = self.around(base)?;
+        let strong = self.strong(&column, &start);
+        let evaluated = |i: usize| by.fit(Start::led_by(strong[i].clone()), Stop::WHERE_IT_IS).ok();
+        Ok(on_threads(strong.len(), evaluated).into_iter().flatten().collect())
+    }
+
     /// First fits of the most promising candidates by the linear problem there.
     fn heats(&self, by: &Fitter<'a>, base: &Fit<'a>, linear: Option<&Linear<'_, 'a>>) -> Vec<Fit<'a>> {
         let mut proposals = self.proposals(by, base, linear);
@@ -63,7 +76,8 @@ impl<'a> Competition<'a> {
         let of = |p: &Proposal| -> Vec<Instance> { p.parts.iter().map(|part| part.instance.clone()).collect() };
         let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs, of) };
         let all: Vec<Proposal> = distinct(singles, of).into_iter().chain(pairs).collect();
-        let fitted = |i: usize| by.fit(Self::started(by, base, &all[i]), Stop::ON_THE_WAY).ok();
+        let stop = first_stop(by);
+        let fitted = |i: usize| by.fit(Self::started(by, base, &all[i]), stop).ok();
         on_threads(all.len(), fitted).into_iter().flatten().collect()
     }
 
@@ -78,9 +92,15 @@ impl<'a> Competition<'a> {
         let all: Vec<Vec<Instance>> = alone.chain(together).collect();
         let fitted = |i: usize| {
             let start = all[i].iter().fold(Start::from(base.clone()), |s, e| s.and(e, &vec![0.0; e.free.len()]));
-            by.fit(start, Stop::ON_THE_WAY).ok()
+            by.fit(start, first_stop(by)).ok()
         };
         let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.promise(a).total_cmp(&self.promise(b)))
     }
+}
+
+/// How far candidates are fitted before the best of them are fitted by replays: no farther than the linear problem leads where that is what
+/// they are looked at by.
+fn first_stop(by: &Fitter<'_>) -> Stop {
+    if by.forward.column().is_some() { Stop::WHERE_IT_IS } else { Stop::ON_THE_WAY }
 }

@@ -31,7 +31,7 @@ impl<'a> Competition<'a> {
             let Some(index) = self.known(&best.model.effects) else { break };
             let there = self.fits[index].clone();
             let moved = combined(&there.rows, &best.rows, 1.0, -1.0);
-            if 0.5 * square(&moved) < TOLD && there.axes.is_some() {
+            if 0.5 * square(&moved) < TOLD && there.taken >= stop.slopes {
                 break;
             }
             self.fits[index] = self.fitter.fit(Start::from(there), stop)?;

@@ -89,7 +89,13 @@ fn in_array(check: impl Fn(&Array<'_, '_>)) {
         check(&Array {
             fit,
             directions: &directions,
-            slopes: fit.slopes.iter().chain(directions.iter().map(|d| &d.change)).map(|rows| thinned(rows)).collect(),
+            slopes: fit
+                .slopes
+                .iter()
+                .map(|s| &s.rows)
+                .chain(directions.iter().map(|d| &d.change))
+                .map(|rows| thinned(rows))
+                .collect(),
             deviations: linear.density.size.clone(),
             bounds,
             ln_prior: competition.ln_priors(&linear),

@@ -4,7 +4,7 @@ use super::{Competition, HEATS, TOLD};
 use crate::effects::Instance;
 use crate::inference::algebra::{self, Quadratic};
 use crate::inference::parameters::prior_of;
-use crate::inference::posterior::{Fit, Fitter, Start, combined, dot, gradient, square};
+use crate::inference::posterior::{Fit, Fitter, Slope, Start, combined, dot, gradient, rows_of, square};
 use crate::inference::weights::{Rows, lines_hz};
 use crate::numerics::threads::on_threads;
 use faer::Mat;
@@ -57,10 +57,10 @@ pub(super) struct Part {
 
 impl Part {
     /// Slopes of its coordinates as far as they are known: along the one that differs at its node.
-    fn slopes(&self) -> Vec<Option<Arc<Rows>>> {
+    fn slopes(&self) -> Vec<Option<Slope>> {
         let zero = self.instance.zero().unwrap_or_default();
         let Some((at, change)) = &self.along else { return vec![None; self.start.len()] };
-        let of = |(a, b): (&f64, &f64)| (a != b).then(|| Arc::new(combined(change, change, 1.0 / (b - a), 0.0)));
+        let of = |(a, b): (&f64, &f64)| (a != b).then(|| Slope::new(combined(change, change, 1.0 / (b - a), 0.0)));
         zero.iter().zip(at).map(of).collect()
     }
 }
@@ -312,7 +312,7 @@ impl<'c, 'a> Linear<'c, 'a> {
     pub fn new(by: &Fitter<'a>, base: &'c Fit<'a>, directions: &'c [Direction]) -> Option<Self> {
         let (n, count) = (base.x.len(), directions.len());
         let slopes: Vec<Arc<Rows>> =
-            base.slopes.iter().cloned().chain(directions.iter().map(|d| d.change.clone())).collect();
+            rows_of(&base.slopes).into_iter().chain(directions.iter().map(|d| d.change.clone())).collect();
         let own = by.normal(&slopes, &base.rows);
         // The unit of a direction is its node.
         let deviations = base.model.prior().into_iter().map(|[_, sd]| sd);

@@ -3,7 +3,7 @@
 use super::*;
 use crate::diagnosis::{DiagnoseSettings, Problem};
 use crate::effects::{self, kind};
-use crate::inference::made_up::{DAMPING, Truth, Uniform, problem, sample};
+use crate::inference::made_up::{DAMPING, Nonlinear, Truth, Uniform, problem, sample};
 use crate::inference::parameters::Declared;
 use crate::metrics::rms;
 use crate::numerics::random;
@@ -49,7 +49,7 @@ fn normal_equations_are_slopes_of_the_cost() {
         let n = model.len();
         let x: Vec<f64> = fit.x.iter().zip(model.prior()).map(|(x, [_, sd])| x + 0.1 * sd).collect();
         let at = fitter.point(&model, x).unwrap();
-        let g = normal(&fitter.slopes(&model, &at, &[]), &at.rows);
+        let g = normal(&rows_of(&fitter.slopes(&model, &at, &[])), &at.rows);
         let mut stream = random::stream(3, "directions");
         for _ in 0..5 {
             let direction: Vec<f64> = (0..n).map(|_| stream.random::<f64>() - 0.5).collect();
@@ -92,8 +92,10 @@ fn slopes_along_principal_axes_are_those_of_coordinates() {
         let model = &fit.model;
         let at = fitter.point(model, fit.x.clone()).unwrap();
         let by_coordinate = fitter.slopes(model, &at, &[]);
-        let axes = fitter.principal(model, &at, &by_coordinate).unwrap();
-        let slopes = fitter.slopes_along(model, &at, &axes, None).unwrap();
+        let all = (0..model.len()).filter(|i| model.is_replayed(*i) && model.same(&at.x).iter().all(|(e, _)| e != i));
+        let axes = fitter.principal(model, &at, &by_coordinate, all.collect()).unwrap();
+        let slopes = fitter.slopes_along(model, &at, &axes, by_coordinate.clone()).unwrap();
+        let [slopes, by_coordinate] = [slopes, by_coordinate].map(|all| rows_of(&all));
         let along = &axes.along;
         let size = |i: usize| square(&by_coordinate[i]).sqrt() * model.prior()[i][1];
         let largest = (0..model.len()).map(size).fold(0.0, f64::max);
@@ -151,8 +153,8 @@ fn data_do_not_tell_an_effect_from_a_tolerance_that_does_the_same() {
         let start = fit.model.start(0);
         assert_eq!(fit.model.same(&fit.x).len(), 1);
         let at = fitter.point(&fit.model, fit.x.clone()).unwrap();
-        let own = fitter.slope(&fit.model, &at, start).unwrap();
-        let missed = square(&combined(&own, &fit.slopes[start], 1.0, -1.0)).sqrt() / square(&own).sqrt();
+        let own = fitter.slope(&fit.model, &at, start).unwrap().rows;
+        let missed = square(&combined(&own, &fit.slopes[start].rows, 1.0, -1.0)).sqrt() / square(&own).sqrt();
         assert!(missed < 0.05, "{missed}");
         // What is known of the two is known of their product alone: the interval is that of the tolerance.
         let deviation = fit.covariance().unwrap()[(start, start)].sqrt();
@@ -224,7 +226,7 @@ fn residuals_of_a_partly_coherent_field_tell_no_more_than_they_know() {
                 let prediction = Arc::new(forward.predict(&[]).unwrap());
                 let fitter = Fitter::new(&forward, Expected::of(&forward, prediction));
                 let at = fitter.point(&model, model.prior().iter().map(|[mean, _]| *mean).collect()).unwrap();
-                let along = fitter.slope(&model, &at, model.start(0)).unwrap();
+                let along = fitter.slope(&model, &at, model.start(0)).unwrap().rows;
                 dot(&along, &at.rows) / square(&along).sqrt()
             };
             let slopes: Vec<f64> = (20..60).map(slope).collect();
@@ -287,4 +289,32 @@ fn evidence_at_an_end_of_a_range_is_that_of_quadrature() {
         let expected = (of_posterior / of_prior).ln();
         assert!((found - expected).abs() < 0.02, "{top}: {found} {expected}");
     }
+}
+
+#[test]
+fn slopes_lead_on_from_replays_without_more_of_them() {
+    let problem = problem(&Truth { events: 1, ..Truth::default() });
+    let replay = Nonlinear(&problem);
+    let forward = Forward::new(&problem, &replay, &DiagnoseSettings::default()).unwrap();
+    let declared = Declared::new(&problem).unwrap();
+    let model = Model { declared: &declared, effects: Vec::new() };
+    let fitter = Fitter::new(&forward, Expected::of(&forward, Arc::new(forward.predict(&[]).unwrap())));
+    let at = |z: f64| fitter.point(&model, vec![z; model.len()]).unwrap();
+    let [here, there] = [at(0.0), at(0.03)];
+    let known = fitter.replayed(&model, &here, &fitter.first_slopes(&model, &here, Vec::new()));
+    let before = forward.replays();
+    let (led, has_replayed) = fitter.led(&model, &there, &known).unwrap();
+    assert!(!has_replayed && forward.replays() == before);
+    let own = fitter.slopes(&model, &there, &[]);
+    let missed = |all: &[Slope]| {
+        let of = |(a, b): (&Slope, &Slope)| square(&combined(&a.rows, &b.rows, 1.0, -1.0));
+        let replayed = all.iter().zip(&own).enumerate().filter(|(i, _)| model.is_replayed(*i));
+        replayed.map(|(_, pair)| of(pair)).sum::<f64>().sqrt()
+    };
+    let column = fitter.first_slopes(&model, &there, Vec::new());
+    let [led, carried, column] = [missed(&led), missed(&known), missed(&column)];
+    assert!(led < 0.75 * carried && led < 0.4 * column, "{led} {carried} {column}");
+    // Nothing is known of any of them.
+    let (found, has_replayed) = fitter.led(&model, &there, &fitter.first_slopes(&model, &there, Vec::new())).unwrap();
+    assert!(has_replayed && missed(&found) < 0.75 * carried, "{} {carried}", missed(&found));
 }
