@@ -85,7 +85,7 @@ pub struct Forward<'a> {
     /// What is known and what is to be explained.
     pub problem: &'a Problem,
     /// Events as spectra.
-    pub groups: Vec<Group>,
+    pub groups: Arc<Vec<Group>>,
     /// Every record in order.
     pub records: Vec<At>,
     replay: &'a dyn Replay,
@@ -105,10 +105,10 @@ impl<'a> Forward<'a> {
     /// When an event is unusable.
     pub fn new(problem: &'a Problem, replay: &'a dyn Replay, settings: &DiagnoseSettings) -> Result<Self> {
         let groups = spectra::groups(problem, settings)?;
-        Ok(Self::of(problem, replay, groups))
+        Ok(Self::of(problem, replay, Arc::new(groups)))
     }
 
-    fn of(problem: &'a Problem, replay: &'a dyn Replay, groups: Vec<Group>) -> Self {
+    fn of(problem: &'a Problem, replay: &'a dyn Replay, groups: Arc<Vec<Group>>) -> Self {
         let of_group = |(group, g): (usize, &Group)| (0..g.records.len()).map(move |record| At { group, record });
         let records: Vec<At> = groups.iter().enumerate().flat_map(of_group).collect();
         Self {
@@ -134,9 +134,9 @@ impl<'a> Forward<'a> {
         Self { equivalent: Some(Equivalent::default()), ..self.again() }
     }
 
-    /// The equivalent-linear column in place of replays, unless it is that; see [`Forward::equivalent_linear`].
-    pub fn column(&self) -> Option<Self> {
-        self.equivalent.is_none().then(|| self.equivalent_linear())
+    /// Whether the equivalent-linear column is what replays are taken for.
+    pub fn is_equivalent_linear(&self) -> bool {
+        self.equivalent.is_some()
     }
 
     /// Replays run so far.

@@ -117,10 +117,7 @@ struct Point {
 impl<'a> Fitter<'a> {
     /// One that weighs residuals as `expected` says.
     pub fn new(forward: &'a Forward<'a>, expected: Expected) -> Self {
-        Self::of(forward, HashMap::from([(labels(&expected.reference).to_vec(), expected)]))
-    }
-
-    fn of(forward: &'a Forward<'a>, expected: HashMap<Vec<Label>, Expected>) -> Self {
+        let expected = HashMap::from([(labels(&expected.reference).to_vec(), expected)]);
         Self { forward, expected, weights: Mutex::default(), high_hz: f64::INFINITY, is_led: true }
     }
 
@@ -129,7 +126,7 @@ impl<'a> Fitter<'a> {
     pub fn expecting(&self, expected: Expected) -> Self {
         let mut all = self.expected.clone();
         all.insert(labels(&expected.reference).to_vec(), expected);
-        Self { is_led: self.is_led, ..Self::of(self.forward, all) }
+        Self { expected: all, weights: Mutex::default(), ..*self }
     }
 
     /// The same with the column as `forward` has it.
@@ -233,7 +230,7 @@ impl<'a> Fitter<'a> {
     }
 
     fn below(&self, high_hz: f64) -> Self {
-        Self { high_hz, is_led: self.is_led, ..Self::of(self.forward, self.expected.clone()) }
+        Self { high_hz, ..self.through(self.forward) }
     }
 
     /// Those of `rows` that count.

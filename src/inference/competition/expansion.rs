@@ -14,8 +14,11 @@ impl<'a> Competition<'a> {
     /// Fits the most promising candidates beside the fitted model with `effects`.
     pub(super) fn expand(&mut self, effects: Vec<Instance>, progress: &dyn Progress) -> Result<()> {
         let base = self.settled(&effects)?;
-        let by_replays = || (self.fitter.through(self.fitter.forward), base.clone());
-        let (by, start) = if self.fitter.is_led { self.around(&base)? } else { by_replays() };
+        let (by, start) = if self.fitter.is_led {
+            self.around(&base)?
+        } else {
+            (self.fitter.through(self.fitter.forward), base.clone())
+        };
         let is_open = start.model.effects.len() < self.max_effects;
         let directions = self.directions(&by, &start);
         let linear = Linear::new(&by, &start, &directions).filter(|_| !directions.is_empty());
@@ -76,8 +79,7 @@ impl<'a> Competition<'a> {
         let of = |p: &Proposal| -> Vec<Instance> { p.parts.iter().map(|part| part.instance.clone()).collect() };
         let pairs = if base.is_strained() { Vec::new() } else { distinct(pairs, of) };
         let all: Vec<Proposal> = distinct(singles, of).into_iter().chain(pairs).collect();
-        let stop = first_stop(by);
-        let fitted = |i: usize| by.fit(Self::started(by, base, &all[i]), stop).ok();
+        let fitted = |i: usize| by.fit(Self::started(by, base, &all[i]), self.first_stop()).ok();
         on_threads(all.len(), fitted).into_iter().flatten().collect()
     }
 
@@ -92,15 +94,15 @@ impl<'a> Competition<'a> {
         let all: Vec<Vec<Instance>> = alone.chain(together).collect();
         let fitted = |i: usize| {
             let start = all[i].iter().fold(Start::from(base.clone()), |s, e| s.and(e, &vec![0.0; e.free.len()]));
-            by.fit(start, first_stop(by)).ok()
+            by.fit(start, self.first_stop()).ok()
         };
         let fits = on_threads(all.len(), fitted).into_iter().flatten();
         fits.max_by(|a, b| self.promise(a).total_cmp(&self.promise(b)))
     }
-}
 
-/// How far candidates are fitted before the best of them are fitted by replays: no farther than the linear problem leads where that is what
-/// they are looked at by.
-fn first_stop(by: &Fitter<'_>) -> Stop {
-    if by.forward.column().is_some() { Stop::WHERE_IT_IS } else { Stop::ON_THE_WAY }
+    /// How far candidates are fitted before the best of them are fitted by replays: no farther than the linear problem leads where that is
+    /// what they are looked at by.
+    fn first_stop(&self) -> Stop {
+        if self.fitter.is_led { Stop::ON_THE_WAY } else { Stop::WHERE_IT_IS }
+    }
 }

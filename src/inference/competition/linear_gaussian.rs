@@ -2,7 +2,7 @@
 
 use super::super::algebra::{self, Quadratic};
 use super::super::made_up::{Truth, Uniform, as_declared, in_competition, problem};
-use super::super::posterior::Fit;
+use super::super::posterior::{Fit, rows_of};
 use super::super::weights::Rows;
 use super::null::Null;
 use super::proposals::{Direction, Linear};
@@ -89,12 +89,10 @@ fn in_array(check: impl Fn(&Array<'_, '_>)) {
         check(&Array {
             fit,
             directions: &directions,
-            slopes: fit
-                .slopes
+            slopes: rows_of(&fit.slopes)
                 .iter()
-                .map(|s| &s.rows)
                 .chain(directions.iter().map(|d| &d.change))
-                .map(|rows| thinned(rows))
+                .map(|r| thinned(r))
                 .collect(),
             deviations: linear.density.size.clone(),
             bounds,

@@ -4,7 +4,7 @@
 use super::{Competition, FAR, coordinates, has_set, is_same_set};
 use crate::error::Result;
 use crate::inference::forward::Label;
-use crate::inference::posterior::{Fit, Start, Stop, Taken};
+use crate::inference::posterior::{Fit, Start, Stop};
 use crate::inference::spread::band_hz;
 use crate::numerics::random;
 use crate::progress::Progress;
@@ -103,7 +103,7 @@ impl<'a> Competition<'a> {
 fn draws<'a>(own: &Fit<'a>) -> Vec<Start<'a>> {
     let (prior, bounds, n) = (own.model.prior(), own.model.bounds(), own.model.declared.n_mode());
     let of = |draw: usize| {
-        let mut start = Start { taken: Taken::Elsewhere, ..Start::from(own.clone()) };
+        let mut start = Start::led_by(own.clone());
         let normal = StandardNormal.sample_iter(random::stream(draw as u64, "modes of a posterior"));
         for (i, z) in (0..n).zip(normal) {
             let ([mean, sd], [low, high], z): (_, _, f64) = (prior[i], bounds[i], z);

@@ -95,7 +95,8 @@ impl Search<'_> {
 impl<'a> Fitter<'a> {
     /// Fits from `start`: Gauss–Newton steps within a trust region. Slopes are carried along and learn from every step; where they lead
     /// no further they are taken anew, until what they say of the evidence stands still. An error of slopes changes where a fit ends by its
-    /// share of the posterior deviation where residuals are what is expected of them, and by more only where a model is far behind anyway.
+    /// share of the posterior deviation where residuals are what is expected of them; where they are more than that, slopes in doubt are
+    /// replayed.
     ///
     /// # Errors
     /// When the column cannot be replayed at the start.
@@ -171,12 +172,15 @@ impl<'a> Fitter<'a> {
     /// what wrong slopes make of them.
     fn is_told(&self, search: &Search<'a>, g: &Mat<f64>, gain: f64) -> bool {
         let Search { model, at, slopes, taken, .. } = search;
+        if *taken == Taken::Replayed {
+            return true;
+        }
         let rows = self.counted(&at.rows);
         let doubt = |(i, slope): (usize, &Slope)| if model.is_at_end(&at.x, i) { 0.0 } else { slope.doubt(&rows) };
         let doubts: Vec<f64> = slopes.iter().enumerate().map(doubt).collect();
         let moved = solved(&information(model, g), &doubts);
         let counts = |moved: Vec<f64>| 0.5 * moved.iter().zip(&doubts).map(|(a, b)| a * b).sum::<f64>();
-        *taken == Taken::Replayed || moved.is_some_and(|moved| counts(moved) < gain)
+        moved.is_some_and(|moved| counts(moved) < gain)
     }
 
     /// Takes a search and its slopes to where a step ended.

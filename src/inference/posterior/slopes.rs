@@ -120,10 +120,10 @@ impl<'a> Fitter<'a> {
     /// Slopes where a search begins: those that are `known`, and of others that would need a replay those of the equivalent-linear column.
     pub(super) fn first_slopes(&self, model: &Model<'_>, at: &Point, mut known: Vec<Option<Slope>>) -> Vec<Slope> {
         known.resize(model.len(), None);
-        let same = model.same(&at.x);
-        let is_open = |i: &usize| known[*i].is_none() && turned(model, &same, &at.x).contains(i);
-        let open: Vec<usize> = (0..model.len()).filter(is_open).collect();
-        if let Some(column) = Some(()).filter(|()| !open.is_empty()).and_then(|()| self.by_column(model, at)) {
+        let mut open = turned(model, &model.same(&at.x), &at.x);
+        open.retain(|i| known[*i].is_none());
+        let column = if open.is_empty() { None } else { self.by_column(model, at) };
+        if let Some(column) = column {
             open.into_iter().for_each(|i| known[i] = Some(column[i].clone()));
         }
         self.slopes(model, at, &known)
@@ -132,7 +132,10 @@ impl<'a> Fitter<'a> {
     /// Slopes by the equivalent-linear column, tuned to the replay there; none where that is what replays are taken for or tells nothing
     /// of them.
     fn by_column(&self, model: &Model<'_>, at: &Point) -> Option<Vec<Slope>> {
-        let column = self.forward.column().filter(|_| self.is_led)?;
+        if !self.is_led || self.forward.is_equivalent_linear() {
+            return None;
+        }
+        let column = self.forward.equivalent_linear();
         column.follow(self.forward, &model.tables(&at.x)).ok()?;
         Some(self.through(&column).slopes(model, at, &[]))
     }
