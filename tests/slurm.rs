@@ -92,10 +92,11 @@ impl Drop for Cluster {
     }
 }
 
-/// Every file below `dir` that does not tell of the time.
+/// Every file below `dir` that does not tell of the time, without what a killed process had no name for yet (`gc` takes it).
 fn lasting(dir: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let mut all = files(dir);
-    all.retain(|name, _| !name.ends_with("timing.toml") && !name.ends_with("log.txt"));
+    let is_unfinished = |name: &Path| name.file_name().is_some_and(|n| n.to_string_lossy().starts_with(".writing-"));
+    all.retain(|name, _| !name.ends_with("timing.toml") && !name.ends_with("log.txt") && !is_unfinished(name));
     all
 }
 

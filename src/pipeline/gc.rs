@@ -78,15 +78,22 @@ pub fn remove(run_dir: &Path, also: &[Address], entries: &[Unused]) -> Result<()
     remove_left_over(run_dir)
 }
 
-/// Removes what a killed run left in the folders of sites: files that had no names yet, and what says that it is at work.
+/// Removes what a killed run left in the folders of sites and of the cache: files that had no names yet, and what says
+/// that it is at work.
 fn remove_left_over(run_dir: &Path) -> Result<()> {
-    let what = || format!("cannot read `{}`", run_dir.display());
-    for site in fs::read_dir(run_dir).context(what)? {
-        for file in fs::read_dir(site.context(what)?.path()).into_iter().flatten().flatten() {
-            let name = file.file_name().to_string_lossy().into_owned();
-            if [HALF_WRITTEN, SETTINGS].iter().any(|start| name.starts_with(start)) {
-                fs::remove_file(file.path()).context(|| format!("cannot remove `{}`", file.path().display()))?;
-            }
+    let folders = |dir: &Path| -> Result<Vec<PathBuf>> {
+        let entries = fs::read_dir(dir).context(|| format!("cannot read `{}`", dir.display()))?;
+        Ok(entries.flatten().map(|entry| entry.path()).filter(|path| path.is_dir()).collect())
+    };
+    let mut all = folders(run_dir)?;
+    let cache = Store::new(run_dir).root;
+    if cache.is_dir() {
+        all.extend(folders(&cache)?);
+    }
+    for file in all.iter().flat_map(|dir| fs::read_dir(dir).into_iter().flatten().flatten()) {
+        let name = file.file_name().to_string_lossy().into_owned();
+        if [HALF_WRITTEN, SETTINGS].iter().any(|start| name.starts_with(start)) {
+            fs::remove_file(file.path()).context(|| format!("cannot remove `{}`", file.path().display()))?;
         }
     }
     Ok(())

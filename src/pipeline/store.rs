@@ -20,7 +20,7 @@ const TIMING: &str = "timing.toml";
 /// All entries of one run directory; any number of sites and processes share it.
 #[derive(Debug, Clone)]
 pub struct Store {
-    root: PathBuf,
+    pub(super) root: PathBuf,
 }
 
 /// `outputs.toml`: what an entry consists of.

@@ -480,14 +480,16 @@ fn collection_removes_what_no_site_used_last_and_only_that() {
     assert_eq!(listed.len(), 4, "{listed:?}");
     // What a manifest still leads to stays, with what it was made from.
     let joined = listed.iter().find(|u| u.entry.folder.starts_with("join")).expect("listed").entry.clone();
+    let folder = joined.folder.clone();
     assert!(unused(&runs, &[joined]).expect("readable").is_empty());
     let share = Lease::shared(&runs.join("cache/lease"), || {}).expect("locked");
     let refused = remove(&runs, &[], &listed).expect_err("a run is at work").to_string();
     assert!(refused.contains("a run is at work"), "{refused}");
     drop(share);
-    fs::write(runs.join("toy/.writing-of-a-killed-run"), "ha").expect("writable");
+    let left = [runs.join("toy"), runs.join("cache").join(&folder)].map(|dir| dir.join(".writing-of-a-killed-run"));
+    left.iter().for_each(|path| fs::write(path, "ha").expect("writable"));
     remove(&runs, &[], &listed).expect("writable");
-    assert!(!runs.join("toy/.writing-of-a-killed-run").exists());
+    assert!(left.iter().all(|path| !path.exists()));
     assert!(unused(&runs, &[]).expect("readable").is_empty());
     place.computed();
     place.run(&shorter, &Options::default()).expect("runs");
